@@ -82,3 +82,29 @@ def test_pixels_by_name_cannot_be_exchanged():
     for given, pixels, message in cases:
         with pytest.raises(UnusableInputError, match=message):
             reconstruct(given, pixels)
+
+
+@pytest.mark.parametrize("snapped", [False, True])
+def test_exchanged_images_are_named_and_a_wrong_pick_or_a_moved_bone_is_not(snapped):
+    """With the wire picked freely, and with it snapped, as clicks beside their curves."""
+    marks_mm = np.array([[-21.0, -18.0, 4.0], [12.0, 30.0, -17.0]])
+
+    def planned(wrong):
+        uv, marks = wire_px(VIEWS), np.stack([view.project(marks_mm) for view in VIEWS])
+        wrong(uv, marks)
+        return plan(VIEWS, uv[:, 0], uv[:, 1], landmarks_uv_px=marks, snapped=snapped)
+
+    def exchange(uv, marks):
+        uv[:], marks[:] = uv[::-1].copy(), marks[::-1].copy()
+
+    def shift(uv, marks):  # of the bone between the images
+        uv[1] += 0.0 if snapped else 60.0
+        marks[1] += 60.0
+
+    def slip(_, marks):
+        marks[1, 0] += 200.0
+
+    with pytest.raises(UnusableInputError, match="images of pa and lateral are exchanged"):
+        planned(exchange)
+    for wrong in (shift, slip):
+        assert "gap" in {check.name for check in failed(planned(wrong).verdict.checks)}

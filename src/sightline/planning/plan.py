@@ -19,11 +19,11 @@ from sightline.planning.bone.aids import Aids
 from sightline.planning.bone.anatomy import Anatomy, Drawings, located
 from sightline.planning.check.shot import PlannedWire
 from sightline.planning.nail.result import Hole, perfect_circles
-from sightline.planning.points.curve import MatchingCurve, matching_curve, snap
+from sightline.planning.points.curve import MAX_SNAP_PX, MatchingCurve, matching_curve, snap
 from sightline.planning.points.lines_of_sight import refuse_repeated
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, Pick, stack
-from sightline.planning.points.reconstruct import checked_picks, points_of
-from sightline.planning.points.results import SpacePoints, Verdict
+from sightline.planning.points.reconstruct import checked_picks, points_of, refuse_exchanged
+from sightline.planning.points.results import MAX_GAP_SIGMA, SpacePoints, Verdict
 from sightline.planning.points.solution import Method
 from sightline.planning.points.trajectory import Trajectory
 from sightline.planning.procedures import Procedure
@@ -312,7 +312,8 @@ def plan(
     of `sl.planning.procedures()`, a file, or a Procedure; sets the limits and the inputs asked for. `side` ("right",
     "left") and `aids`: the wire is checked against them where the procedure has checks of the bone; without them the
     plan is incomplete. `shared`: the fields of `PlanInputs`.
-    Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
+    Raises UnusableInputError, also where picks fit only with two images exchanged, and what `reconstruct`,
+    `matching_curve` and `snap` raise.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
     >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
@@ -321,19 +322,18 @@ def plan(
     >>> ax = plan.plot()
     """
     inputs, kind = PlanInputs(**shared), kind_of(procedure) if isinstance(procedure, str) else procedure
-    if len(views) < 2:
-        raise UnusableInputError(f"{len(views)} views given; give two or more to plan on")
     each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)
     at_rest = adjusted_together(views)
-    points = [_picks(at_rest, uv, inputs, own) for uv, own in zip((entry_uv_px, end_uv_px), each, strict=True)]
-    (entry, entry_curve), (end, end_curve) = points
     free = _landmarks(len(views), inputs)
+    clicks = _Clicks(at_rest, (entry_uv_px, end_uv_px), each, free, inputs)
+    (entry, entry_curve), (end, end_curve) = clicks.points()
     names = _names(kind, inputs.landmark_names, len(free))
     refuse_repeated(at_rest)
     drawings = Drawings.of(at_rest, inputs.aids or Aids(), (entry, end, *free))
     solution = drawings.solve(checked_picks(len(views), *stack([entry, end, *free])), inputs.method)
-    seen = drawings.with_head(points_of(solution)) if hole is None else hole.located(points_of(solution))
-    asked = inputs.aids is not None or bool(kind.checks)
+    found = clicks.not_exchanged(points_of(solution))
+    seen = drawings.with_head(found) if hole is None else hole.located(found)
+    asked = inputs.aids is not None or kind.checks
     anatomy = located(drawings, lambda: solution, bool(kind.document.directions)) if asked else None
     made = Plan(
         trajectory=Trajectory(seen.first(2) if free else seen),
@@ -351,6 +351,40 @@ def plan(
         hole=hole,
     )
     return replace(made, verdict=_judged(made, at_rest))
+
+
+@dataclass(frozen=True, eq=False)
+class _Clicks:
+    """The pixels (V, 2) of entry and end in the views, which of them are to be snapped, and the landmarks."""
+
+    views: Sequence[CalibratedView]
+    wire_uv_px: tuple[ArrayLike, ArrayLike]
+    snapped: tuple[bool, ...]
+    free: Sequence[tuple[Pick, ...]]
+    inputs: PlanInputs
+
+    def points(self) -> list[tuple[tuple[Pick, ...], MatchingCurve]]:
+        """Return what `_picks` returns of entry and end. Raises UnusableInputError, OutsideRegionError."""
+        wire = zip(self.wire_uv_px, self.snapped, strict=True)
+        try:
+            return [_picks(self.views, uv, self.inputs, own) for uv, own in wire]
+        except (OutsideRegionError, UnusableInputError):
+            self._refuse_exchanged()
+            raise
+
+    def not_exchanged(self, found: SpacePoints) -> SpacePoints:
+        """Return the points. Raises UnusableInputError where their gaps tell that two images are exchanged."""
+        if found.gap_failed.any():
+            self._refuse_exchanged()
+        return found
+
+    def _refuse_exchanged(self) -> None:
+        wire = [np.asarray(uv, dtype=np.float64) for uv in self.wire_uv_px]
+        if all(uv.shape == (len(self.views), 2) for uv in wire):
+            uv = np.stack([*wire, *(np.array([pick.uv_px for pick in point]) for point in self.free)], axis=1)
+            as_far = MAX_SNAP_PX / MAX_GAP_SIGMA  # as a click may be from its curve
+            wire_sd_px = [as_far if own else self.inputs.pick_sd_px for own in self.snapped]
+            refuse_exchanged(self.views, uv, np.array([*wire_sd_px, *[self.inputs.pick_sd_px] * len(self.free)]))
 
 
 def _arguments(
@@ -410,7 +444,9 @@ def _names(kind: Procedure, landmark_names: Sequence[str], count: int) -> tuple[
 
 
 def _landmarks(views: int, inputs: PlanInputs) -> list[tuple[Pick, ...]]:
-    """Return free picks at (V, L, 2) pixels. Raises UnusableInputError."""
+    """Return free picks at (V, L, 2) pixels, in two or more views. Raises UnusableInputError."""
+    if views < 2:
+        raise UnusableInputError(f"{views} views given; give two or more to plan on")
     given = inputs.landmarks_uv_px
     uv = np.zeros((views, 0, 2)) if given is None else np.asarray(given, dtype=np.float64)
     if uv.ndim != 3 or uv.shape[0] != views or uv.shape[2] != 2 or (views == 2 and not np.isfinite(uv).all()):

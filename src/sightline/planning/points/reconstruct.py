@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -9,11 +10,11 @@ from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.common.geometry.covariance import TWO_SIDED_95, response
 from sightline.common.threads import one_blas_thread
-from sightline.errors import UnusableInputError
+from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.planning.points.gaps import Gaps, gap_mm
 from sightline.planning.points.lines_of_sight import refuse_repeated
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, PickArrays
-from sightline.planning.points.results import SpacePoints
+from sightline.planning.points.results import MAX_GAP_SIGMA, SpacePoints
 from sightline.planning.points.solution import Method, Solution, solve
 
 
@@ -52,6 +53,42 @@ def reconstruct(
     picks = checked_picks(len(views), _by_view(views, uv_px, "picks"), uv_covariance_px2, across_px)
     lines = [view.lines_of_sight(uv[shown]) for view, uv, shown in zip(views, picks.uv_px, picks.seen, strict=True)]
     return points_of(solve(lines, picks, method))
+
+
+# Where both images show the beams' common normal alike, exchanged picks have nearly the same gaps: here they have not
+# [ours].
+_FAR_SIGMA = 3 * MAX_GAP_SIGMA
+
+
+def refuse_exchanged(views: Sequence[CalibratedView], uv_px: np.ndarray, sd_px: np.ndarray) -> None:
+    """Raise UnusableInputError where picks `uv_px` (V, N, 2) of two points or more fit only with two views exchanged.
+
+    `sd_px` (N,): standard deviation of the picks of a point. Picks that contradict their views by little are not
+    refused.
+    """
+    uv = np.asarray(uv_px, dtype=np.float64)
+    if uv.shape[1] < 2 or not _worst_gap_sigma(views, uv, sd_px) > _FAR_SIGMA:
+        return
+    for a, b in combinations(range(len(views)), 2):
+        order = np.arange(len(views))
+        order[[a, b]] = b, a
+        if _worst_gap_sigma(views, uv[order], sd_px) <= MAX_GAP_SIGMA:
+            one, other = views[a].name, views[b].name
+            raise UnusableInputError(
+                f"the images of {one} and {other} are exchanged, or the picks in them: the lines of sight of the "
+                f"{uv.shape[1]} points meet only if they are exchanged back; give the files in the other order, and "
+                "write each pick beside its own image"
+            )
+
+
+def _worst_gap_sigma(views: Sequence[CalibratedView], uv_px: np.ndarray, sd_px: np.ndarray) -> float:
+    """Return the largest gap of the points in standard deviations; NaN where it is not known."""
+    covariance = np.broadcast_to((sd_px**2)[:, None, None] * np.eye(2), (*uv_px.shape, 2))
+    try:
+        sigma = reconstruct(views, uv_px, covariance).gap_sigma
+    except (ReconstructionRefusedError, OutsideRegionError, UnusableInputError):
+        return np.nan
+    return np.nan if sigma is None else float(np.max(np.ma.getdata(sigma)))
 
 
 def points_of(solution: Solution) -> SpacePoints:
