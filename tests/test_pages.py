@@ -151,15 +151,19 @@ def test_the_quick_commands_of_a_page_run_one_after_another(name: str, place: Pa
 @pytest.mark.parametrize("name", WALKED)
 def test_a_walk_runs_from_top_to_bottom(name: str, place: Path) -> None:
     """Commands and Python in the order of the page; a file that the page shows, `NAME.csv` or `NAME.json`, is written
-    first."""
+    first. Its output is as shown, but for what `...` leaves out."""
     page = ROOT / "docs" / name
     shown = r"`([\w.-]+\.(?:csv|json))`:\n\n```(?:csv|json)\n(.*?)^```"
     for file, table in re.findall(shown, page.read_text(), re.MULTILINE | re.DOTALL):
         (place / file).write_text(table)
     known: dict[str, Any] = {}
+    came = ""
     for language, text in re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
         if language == "python":
             exec(compile(text, name, "exec"), known)  # noqa: S102 - our own page
         for words in commands_in(text) if language == "sh" else ():
             done = CliRunner().invoke(commands, words)
             assert done.exit_code == 0, f"sightline {' '.join(words)}: {done.stderr}"
+            came = " ".join(done.stdout.split())
+        for line in text.splitlines() if language == "text" else ():
+            assert "..." in line or "─" in line or " ".join(line.split()) in came, line
