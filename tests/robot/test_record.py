@@ -11,7 +11,8 @@ from sightline.robot.link.record import DrillingEvent, DrillingRecord, Recorder,
 def test_depth_goes_with_the_force_before_it_and_events_keep_their_order():
     recorder = Recorder()
     assert recorder.record.depth_mm.shape == (0,)
-    for depth, force in ((-1.0, 0.2), (0.5, 12.5), (1.5, 30.25)):
+    stands = [(1.5, 4.0), (1.504, 30.25), *[(1.5, 2.0)] * 100]  # while a person thinks
+    for depth, force in ((-1.0, 0.2), (0.5, 12.5), *stands):
         recorder.heard(Message(Sensor(np.array([force])), contract.FORCE))
         recorder.heard(Message(Sensor(np.array([depth])), contract.DEPTH))
     recorder.heard(Message(String("contact; 0.12 mm; 1.4 N"), contract.EVENT))

@@ -81,6 +81,9 @@ def last_hole(records: Sequence[DrillingRecord]) -> DrillingRecord | None:
     return hole
 
 
+_STANDS_MM = 0.005  # [ours] half of a sample's way at the slowest feed
+
+
 class Recorder:
     """Collects a record: add `heard` to a client's `listeners`, and read `record`. Other messages are ignored."""
 
@@ -99,11 +102,19 @@ class Recorder:
             elif message.device_name == contract.DEPTH_SD:
                 self._sd_mm = value
             elif message.device_name == contract.DEPTH and np.isfinite([value, self._force_n]).all():
-                self._samples.append((value, self._force_n, self._sd_mm))
+                self._add(value)
         elif isinstance(body, String) and message.device_name == contract.EVENT:
             match = _EVENT.fullmatch(body.text)
             if match is not None:
                 self._events.append(DrillingEvent(match[1], float(match[2]), float(match[3])))
+
+    def _add(self, depth_mm: float) -> None:
+        """Add a sample; of a wire that stands only the one with the largest force, however long a person thinks."""
+        last_mm, last_n, _ = self._samples[-1] if self._samples else (np.inf, 0.0, 0.0)
+        if abs(depth_mm - last_mm) < _STANDS_MM:
+            self._samples[-1] = (last_mm, max(self._force_n, last_n), self._sd_mm)
+        else:
+            self._samples.append((depth_mm, self._force_n, self._sd_mm))
 
     @property
     def record(self) -> DrillingRecord:
