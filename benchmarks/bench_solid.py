@@ -249,10 +249,10 @@ def _planned_on_both(seed: int) -> tuple[dict[str, np.ndarray], dict[str, np.nda
     squared Mahalanobis lengths of those of the balls."""
     rng = np.random.default_rng([13, 7, seed])
     setup, hip = shown_hip_scene(rng, block(0.02))
-    parts = gvxr.block_parts(setup.true_frame, hip.wire_mm)
+    parts = gvxr.hip_parts(setup.true_frame, hip.wire_mm)
     noise = PICK_PX * rng.standard_normal((2, 4, 2))
     points = np.concatenate([hip.wire_mm, [hip.lesser_mm, hip.head_mm]])
-    cast = {name: gvxr.block_image(view, parts, rng) for name, view in setup.views.items()}
+    cast = {name: gvxr.panel_image(view, parts, rng) for name, view in setup.views.items()}
     rendered = {name: render(setup, name, hip.scene, rng) for name in setup.views}
     return _planned(setup, cast, points, noise), _planned(setup, rendered, points, noise)
 

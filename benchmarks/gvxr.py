@@ -1,8 +1,8 @@
-"""Images of a block beside a hip, and of a nail in a femur's shaft, whose rays gVirtualXray has cast.
+"""Images of a frame beside a hip, and of a nail in a femur's shaft, whose rays gVirtualXray has cast.
 
 Optional: `pip install gvxr` (2.1; without a GPU, Mesa's software renderer serves). Path lengths through triangle meshes
-are gVirtualXray's; energies and attenuation are those of this file. Of a block's image scatter, counts and blur are
-computed here, and only the places of source, panel, balls and hip are the twin's. Of a nail's image the nail's mesh and
+are gVirtualXray's; energies and attenuation are those of this file. Beside a hip scatter, counts and blur are computed
+here; the places of source, detector, balls and hip are the twin's, and an intensifier's distortion. Of a nail's image the nail's mesh and
 the detector's distortion, blur, glare, noise and video are the twin's. Only the pixels around the nail are drawn; the
 others are 0.
 """
@@ -130,11 +130,9 @@ def _ellipse(half_mm: tuple[float, float], height_mm: float, at_mm: np.ndarray) 
     return body
 
 
-def block_parts(frame: Frame, wire_mm: np.ndarray) -> Parts:
-    """Return a block's true balls and PMMA and a plain hip around a wire (2, 3): entry, end."""
-    assert frame.solid is not None
-    xyz, (entry, end) = frame.solid.xyz_mm, wire_mm
-    bounds = np.stack([xyz.min(axis=0) - COVER_MM, xyz.max(axis=0) + COVER_MM])
+def hip_parts(frame: Frame, wire_mm: np.ndarray) -> Parts:
+    """Return a frame's true balls, a block's PMMA, and a plain hip around a wire (2, 3): entry, end."""
+    entry, end = wire_mm
     down = np.array([0.0, np.sign(entry[1] - end[1]), 0.0])
     bone = [
         _ball(end, 23.0),
@@ -143,21 +141,56 @@ def block_parts(frame: Frame, wire_mm: np.ndarray) -> Parts:
     ]
     body = _ellipse((140.0, 105.0), 500.0, wire_mm.mean(axis=0) + np.array([-35.0, 0.0, -5.0]))
     return {
-        "balls": (balls(frame.solid.fiducials, 3), _above("steel", "pmma")),
-        "block": (trimesh.creation.box(bounds=bounds), _above("pmma")),
+        **_frame_parts(frame),
         **{f"bone {k}": (mesh, 0.5 * _above("bone")) for k, mesh in enumerate(bone)},
         "body": (body, PER_MM["tissue"]),
     }
 
 
-def block_image(view: ViewTruth, parts: Parts, rng: np.random.Generator) -> Radiograph:
+def _frame_parts(frame: Frame) -> Parts:
+    if frame.solid is None:
+        return {"balls": (balls(frame.fiducials, 3), PER_MM["steel"])}
+    xyz = frame.solid.xyz_mm
+    bounds = np.stack([xyz.min(axis=0) - COVER_MM, xyz.max(axis=0) + COVER_MM])
+    return {
+        "balls": (balls(frame.solid.fiducials, 3), _above("steel", "pmma")),
+        "block": (trimesh.creation.box(bounds=bounds), _above("pmma")),
+    }
+
+
+def panel_image(view: ViewTruth, parts: Parts, rng: np.random.Generator) -> Radiograph:
     """Draw the image of the parts on the panel of a view."""
-    chain, lengths = view.chain, path_lengths_mm(view, {name: mesh for name, (mesh, _) in parts.items()})
-    primary = _light(lengths, {name: per_mm for name, (_, per_mm) in parts.items()})
-    quanta = (primary + SCATTER * gaussian_filter(primary, SCATTER_MM / chain.pitch_mm)) / (1 + SCATTER)
+    lengths = path_lengths_mm(view, {name: mesh for name, (mesh, _) in parts.items()})
+    return _stored(_light(lengths, {name: per_mm for name, (_, per_mm) in parts.items()}), view, rng)
+
+
+def intensifier_image(view: ViewTruth, parts: Parts, rng: np.random.Generator) -> Radiograph:
+    """Draw the image of the parts on an intensifier, through the view's distortion."""
+    height, width = view.chain.shape
+    uv = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), axis=-1)
+    field = view.in_field(uv)
+    xy, pitch = view.intensifier.to_detector(uv[field]), view.chain.pitch_mm / 2
+    low, high = xy.min(axis=0) - RAYS * pitch, xy.max(axis=0) + RAYS * pitch
+    count = np.ceil((high - low) / pitch).astype(int) + 1
+    window = Window(low + (count - 1) / 2 * pitch, (int(count[1]), int(count[0])), pitch)
+    lengths = path_lengths_mm(view, {name: mesh for name, (mesh, _) in parts.items()}, window)
+    light = uniform_filter(_light(lengths, {name: per_mm for name, (_, per_mm) in parts.items()}), 2)
+    primary = np.zeros(view.chain.shape)
+    # The mean of two samples lies half a sample before the second.
+    primary[field] = map_coordinates(light, ((xy - low) / pitch + 0.5).T[::-1], order=1, mode="nearest")
+    return _stored(primary, view, rng, field)
+
+
+def _stored(
+    primary: np.ndarray, view: ViewTruth, rng: np.random.Generator, field: np.ndarray | None = None
+) -> Radiograph:
+    """Return the image of the light (H, W) that arrives without scatter; black outside the `field`, (H, W) bool."""
+    pitch = view.chain.pitch_mm
+    quanta = (primary + SCATTER * gaussian_filter(primary, SCATTER_MM / pitch)) / (1 + SCATTER)
+    quanta = quanta if field is None else quanta * field
     height, width = quanta.shape
     quanta *= QUANTA / quanta[height // 4 : -height // 4, width // 4 : -width // 4].mean()
-    seen = gaussian_filter(rng.poisson(quanta).astype(float), BLUR_MM / chain.pitch_mm)
+    seen = gaussian_filter(rng.poisson(quanta).astype(float), BLUR_MM / pitch)
     stored = np.clip(np.rint(seen * LEVEL * WHITE / QUANTA), 0, WHITE).astype(np.uint16)
     return Radiograph(stored, float(WHITE))
 

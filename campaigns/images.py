@@ -1,6 +1,7 @@
 """Images damaged on their way from the C-arm: no plan with GO may be wrong.
 
-Each base is a simulated patient, rendered once per process. A damage changes one image or both, and states where the
+Each base is a simulated patient with Γ or block, drawn once per process: by gVirtualXray where it is installed (`pip
+install gvxr`), else by the twin. A damage changes one image or both, and states where the
 damaged image shows a point, because the user clicks on what is visible.
 """
 
@@ -12,6 +13,7 @@ import numpy as np
 from scipy.special import expit
 
 import sightline as sl
+from benchmarks import gvxr
 from campaigns.campaign import Campaign, Damage, Ended
 from campaigns.person import Clicks, Shown, judged
 from sightline.frame import Frame
@@ -20,15 +22,22 @@ from sightline.imaging import Radiograph
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.studies.scenes import VIEWS
 
-BASES = 12  # rendered patients; the same for every seed
+BASES = 12  # patients; the same for every seed
 Picture = tuple[np.ndarray, Shown]  # pixels, 0 to 1, and the map from original to shown pixel coordinates
 Spoil = Callable[[np.ndarray, np.random.Generator], Picture]
 
 
 @lru_cache(maxsize=BASES)
 def base(number: int) -> Rehearsal:
-    """Return a patient with rendered images; right and left hips alternate."""
-    return Rehearsal.draw(1000 + number, Frame.load("gamma"), ("right", "left")[number % 2])
+    """Return a patient with images; right and left hips alternate, and pairs of Γ and block."""
+    frame = Frame.load(("gamma", "block60")[number // 2 % 2])
+    patient = Rehearsal.draw(1000 + number, frame, ("right", "left")[number % 2])
+    if gvxr.INSTALLED:
+        rng = np.random.default_rng([1000, number])
+        parts = gvxr.hip_parts(patient.setup.true_frame, patient.hip.wire_mm)
+        draw = gvxr.intensifier_image if frame.solid is None else gvxr.panel_image
+        vars(patient)["images"] = {name: draw(patient.setup.views[name], parts, rng) for name in VIEWS}
+    return patient
 
 
 def read(pixels: np.ndarray, white: int = 65535) -> Radiograph:
@@ -343,4 +352,5 @@ CLASSES: dict[str, Damage] = {
     "one view twice": unlike(lambda i, *_: {"pa": i["pa"], "lateral": i["pa"]}, "view", "plates"),
     "another patient's image": unlike(of_another, "patient", "moved", "gap"),
 }
-CAMPAIGN = Campaign("images", "Images spoilt on their way from the C-arm", CLASSES)
+_BY = "gVirtualXray" if gvxr.INSTALLED else "the twin"
+CAMPAIGN = Campaign("images", f"Images of {_BY} spoilt on their way from the C-arm", CLASSES)
