@@ -2,9 +2,9 @@
 
 Optional: `pip install gvxr` (2.1; without a GPU, Mesa's software renderer serves). Path lengths through triangle meshes
 are gVirtualXray's; energies and attenuation are those of this file. Beside a hip scatter, counts and blur are computed
-here; the places of source, detector, balls and hip are the twin's, and an intensifier's distortion. Of a nail's image the nail's mesh and
-the detector's distortion, blur, glare, noise and video are the twin's. Only the pixels around the nail are drawn; the
-others are 0.
+here; the places of source, detector, balls and hip are the twin's, and an intensifier's distortion. Of a nail's image
+the nail's mesh and the detector's distortion, blur, glare, noise and video are the twin's. Only the pixels around the
+nail are drawn; the others are 0.
 """
 
 from collections.abc import Iterable, Mapping

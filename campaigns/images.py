@@ -10,10 +10,10 @@ from functools import lru_cache, partial
 
 import cv2
 import numpy as np
+from benchmarks import gvxr
 from scipy.special import expit
 
 import sightline as sl
-from benchmarks import gvxr
 from campaigns.campaign import Campaign, Damage, Ended
 from campaigns.person import Clicks, Shown, judged
 from sightline.frame import Frame
