@@ -1,8 +1,8 @@
 """Images damaged on their way from the C-arm: no plan with GO may be wrong.
 
 Each base is a simulated patient with Γ or block, drawn once per process: by gVirtualXray where it is installed (`pip
-install gvxr`), else by the twin. A damage changes one image or both, and states where the
-damaged image shows a point, because the user clicks on what is visible.
+install gvxr`), else by the twin. A damage changes one image or both, and states where the damaged image shows a point,
+because the user clicks on what is visible.
 """
 
 from collections.abc import Callable

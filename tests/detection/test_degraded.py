@@ -81,6 +81,8 @@ def test_a_broad_mean_has_noise_whatever_the_correlation(correlation: float) -> 
 def test_a_torn_image_is_refused_as_such(at: int, shift: int) -> None:
     assert tear_of(Radiograph(torn(CLEAN, at, shift), 255.0)) == Tear(at, shift, rows=True)
     assert tear_of(Radiograph(torn(CLEAN, at, shift).T.copy(), 255.0)) == Tear(at, shift, rows=False)
+    # Also beyond the balls of a block, which take up a small part of its image.
+    assert [check.name for check in failed(image_checks(Radiograph(torn(CLEAN, at, shift), 255.0)))] == ["image rows"]
     said = cause_of(Radiograph(torn(CLEAN, at, shift), 255.0), np.zeros((0, 3)), ())
     assert said is not None and f"torn: from row {at} on it is shifted by {abs(shift)} columns" in said
 

@@ -124,10 +124,14 @@ def clipped_share(image: Radiograph) -> float:
 
 
 def image_checks(image: Radiograph) -> tuple[Check, ...]:
-    """Return the checks of an image: clipped pixels; also lossy compression and inversion, where they apply."""
+    """Return the checks of an image: clipped pixels; also tears, lossy compression and inversion, where they apply."""
     share = 100 * clipped_share(image)
     sentence = f"{share:.1f} % of the field's pixels are as bright or as dark as can be stored: nothing is known there."
     checks = [Check("clipped pixels", share <= MAX_CLIPPED, share, MAX_CLIPPED, "%", sentence)]
+    # Beads show a smaller tear, but a block's lie in a small part of its image.
+    tear = torn(image)
+    if tear is not None:
+        checks.append(Check("image rows", False, abs(tear.shift_px), None, "px", f"T{tear.sentence[1:]}."))
     if image.lossy:
         sentence = "The image was compressed with loss, which moves edges: export it uncompressed if you can."
         checks.append(Check("compression", True, None, None, "", sentence))
