@@ -90,8 +90,8 @@ def unlike(
 
 
 def of_another(images: dict[str, Radiograph], number: int, rng: np.random.Generator) -> dict[str, Radiograph]:
-    """Replace one of the images by another patient's."""
-    other = base((number + int(rng.integers(1, BASES))) % BASES)
+    """Replace one of the images by another patient's, with the same frame."""
+    other = base((number + 4 * int(rng.integers(1, BASES // 4))) % BASES)
     name = str(rng.choice(VIEWS))
     return {**images, name: other.images[name]}
 

@@ -47,8 +47,8 @@ _HALF_SIDE = 0.5
 # 70 kVp, three doses, 0.7 to 2 times the blur: 1.0 ± 0.5 %, -1.0 to 1.9 %, in 108 images of the twin; -0.2 to -0.7 % in
 # 4 of gVirtualXray with a harder beam.
 _LOOKS, _MACHINE_SD, _IMAGE_SD = 0.006, 0.008, 0.005
-# Movement, compression and a display's curve enlarge: by 3.4 and 4.3 % with a gamma of 2.2 [twin]. A logarithmic curve
-# makes balls smaller by up to 2.3 % [twin]; it is not allowed for.
+# Compression and a display's curve enlarge: by 3.4 and 4.3 % with a gamma of 2.2 [twin]. A logarithmic curve makes
+# balls smaller by up to 2.3 % [twin], blur of many pixels by up to 12 % [gVirtualXray]; neither is allowed for.
 _MAX_LARGER = 0.06
 _MIN_BALLS = 8  # [ours] for a median that two wrong radii do not move by more than its error
 _MEDIAN = 1.2533  # s.d. of the median over that of the mean (normal distribution)
@@ -253,8 +253,8 @@ class BallSize:
 def ball_size_check(sizes: Sequence[BallSize]) -> Check:
     """Return the check of the balls in one image, or in several of one frame together.
 
-    Only blur and display curves differ without limit, and they enlarge. Balls that look smaller in all images are
-    therefore the better evidence.
+    In sharp images only compression and display curves differ without limit, and they enlarge. Balls that look smaller
+    in all images are therefore the better evidence.
     """
     count = len(sizes)
     usual = float(np.mean([size.larger for size in sizes]))
@@ -269,7 +269,7 @@ def ball_size_check(sizes: Sequence[BallSize]) -> Check:
     sentence += (
         ", so a smaller error of the file's scale does not show here."
         if passed
-        else ". The scale of the file's coordinates is wrong, and with it every length, or its diameters are wrong: "
-        "measure both, and correct the file."
+        else ". If the image is sharp, the scale of the file's coordinates is wrong, and with it every length, or its "
+        "diameters are: measure both, and correct the file. If it is blurred, take it again."
     )
     return Check("ball size", passed, 100 * usual, 100 * limit, "%", sentence)
