@@ -201,7 +201,11 @@ def test_a_value_that_is_not_finite_is_a_bug_not_a_document() -> None:
     [
         (["--version"], 0, f"sightline {sightline.__version__}\n", ""),
         pytest.param(
-            ["watch", "nowhere.mp4"], 2, "", "sightline: no file or folder nowhere.mp4 exists", marks=pytest.mark.slow
+            ["watch", "nowhere.mp4"],
+            2,
+            "frame: gamma (assumed; --frame names another)\n",
+            "sightline: no file or folder nowhere.mp4 exists",
+            marks=pytest.mark.slow,
         ),
     ],
 )

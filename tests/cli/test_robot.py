@@ -183,7 +183,7 @@ def test_the_plans_own_limits_and_depth_are_those_of_the_robot(tmp_path):
 @pytest.mark.slow
 def test_check_a_robot(monkeypatch):
     monkeypatch.setattr("sightline.robot.link.conformance.poses.HOLD_S", 0.6)
-    with scripted(steps=25) as port:
+    with scripted(steps=100) as port:
         done = run("check", f"127.0.0.1:{port}", "--frame-serial", "SN-7", "--yes", "--json")
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from sightline.common.checks import Check
-from sightline.common.fitting import distances
+from sightline.common.fitting import MAD_TO_SD, distances
 from sightline.imaging import Radiograph
 
 _ANGLES, _STEP_PX = 32, 0.5  # of the polar grid about each bead
@@ -18,6 +18,7 @@ _REACH_PX = 8.0  # beyond a bead's rim, where no other bead may lie: the largest
 _SHIFTS_PX = 2.0, 3.0, 4.5, 6.5  # of a copy: one between two of them matches the next [ours]
 _MIN_BEADS = 8  # isolated ones; fewer do not give a standard error [ours]
 _SURE = 3.0  # standard errors that are subtracted
+_MEDIAN = 1.2533  # s.d. of the median over that of the mean (normal distribution)
 _MIN_CONTRAST = 1e-3  # of log intensity [ours]
 _HALVES = 0.25, 0.75  # of a bead's contrast: between them its rim is measured [ours]
 _BLUR_PX2 = 3.2  # squared blur along one direction per unit of what copies 2 px to both sides would add [calc]
@@ -36,8 +37,9 @@ class CommonShape:
 
     `copy_share`, `copy_px` (u, v): strength and place of a copy beside each bead. `copy_moves_px`: how far it moves the
     centres, and `blur_px`: s.d. of a blur along `blur_deg` (clockwise from the rows); both less three standard errors.
-    `aspect`: width of the shadows over their height; `aspect_spread`: median deviation of single ones, a share. `soft`:
-    width of the rims along the rows over that along the columns, each over the shadow's own.
+    `aspect`: width of the shadows over their height; `aspect_spread`: median deviation of single ones, a share;
+    `aspect_sd`: standard error. `soft`: width of the rims along the rows over that along the columns, each over the
+    shadow's own.
     """
 
     copy_share: float
@@ -47,6 +49,7 @@ class CommonShape:
     blur_deg: float
     aspect: float
     aspect_spread: float
+    aspect_sd: float
     soft: float
 
     def checks(self) -> tuple[Check, ...]:
@@ -68,10 +71,15 @@ class CommonShape:
         )  # fmt: skip
 
     @property
+    def stretched(self) -> bool:
+        """Whether the shadows are surely wider than high, or higher: metal beside a few beads changes theirs too."""
+        return abs(self.aspect - 1) > max(MAX_ASPECT, _SURE * self.aspect_sd)
+
+    @property
     def not_square(self) -> str | None:
         """What is wrong with pixels that are not square, and what to do; None where the beads do not show it."""
         moved = max(self.soft, 1 / self.soft) > _MAX_SOFTER or self.blur_px > MAX_BLUR_PX
-        if abs(self.aspect - 1) <= MAX_ASPECT or self.aspect_spread > _MAX_SPREAD or moved:
+        if not self.stretched or self.aspect_spread > _MAX_SPREAD or moved:
             return None
         return (
             f"the image's pixels are not square: its beads are {self.aspect:.2f} times as wide as high; export it "
@@ -92,10 +100,15 @@ def common_shape(image: Radiograph, uv_px: np.ndarray, radius_px: np.ndarray) ->
     if len(discs) < _MIN_BEADS:
         return None
     shape = _common([_Shadow.of(*_polar(logs, disc, 1.0)) for disc in discs])
-    if abs(shape.aspect - 1) <= MAX_ASPECT:
+    if not shape.stretched:
         return shape
     square = _common([_Shadow.of(*_polar(logs, disc, shape.aspect)) for disc in discs])
-    return replace(square, aspect=shape.aspect, aspect_spread=shape.aspect_spread)
+    return replace(
+        shape,
+        copy_moves_px=min(shape.copy_moves_px, square.copy_moves_px),
+        blur_px=min(shape.blur_px, square.blur_px),  # metal beside a few beads may show an aspect that is none
+        soft=square.soft,
+    )
 
 
 def logs_of_white(image: Radiograph) -> np.ndarray:
@@ -114,6 +127,7 @@ def _common(shadows: list["_Shadow"]) -> CommonShape:
     along = int(np.argmax(np.median(both, axis=0)))
     blur2 = float(np.median(both[:, along]) - _SURE * both[:, along].std() / np.sqrt(len(both)))
     aspect = float(np.median([shadow.aspect for shadow in shadows]))
+    spread = float(np.median(np.abs(np.array([shadow.aspect for shadow in shadows]) / aspect - 1)))
     return CommonShape(
         copy_share=float(share[best]),
         copy_px=(float(shift * np.cos(angle)), float(shift * np.sin(angle))),
@@ -122,7 +136,8 @@ def _common(shadows: list["_Shadow"]) -> CommonShape:
         blur_deg=(360.0 * along / _ANGLES) % 180.0,
         aspect=aspect,
         soft=float(np.median([shadow.soft for shadow in shadows])),
-        aspect_spread=float(np.median(np.abs(np.array([shadow.aspect for shadow in shadows]) / aspect - 1))),
+        aspect_spread=spread,
+        aspect_sd=float(_MEDIAN * MAD_TO_SD * spread / np.sqrt(len(shadows))),
     )
 
 
