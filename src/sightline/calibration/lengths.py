@@ -21,7 +21,7 @@ from sightline.calibration.maps.hull import Hull
 from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import PlaneMap
 from sightline.common.checks import Check
-from sightline.common.fitting import MAD_TO_SD, median
+from sightline.common.fitting import MAD_TO_SD, MEDIAN_SD, median
 from sightline.common.geometry.covariance import TWO_SIDED_999, response
 from sightline.common.geometry.planes import Plane
 from sightline.errors import UnusableInputError
@@ -51,7 +51,6 @@ _LOOKS, _MACHINE_SD, _IMAGE_SD = 0.006, 0.008, 0.005
 # balls smaller by up to 2.3 % [twin], blur of many pixels by up to 12 % [gVirtualXray]; neither is allowed for.
 _MAX_LARGER = 0.06
 _MIN_BALLS = 8  # [ours] for a median that two wrong radii do not move by more than its error
-_MEDIAN = 1.2533  # s.d. of the median over that of the mean (normal distribution)
 
 
 def pixel_solid_angle(plane_map: PlaneMap, plane: Plane, focal_point_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
@@ -247,7 +246,7 @@ class BallSize:
         radius_mm = np.array([one.diameter_mm for one in fiducials]) / 2
         larger = np.log(radius_px * mm_per_px / radius_mm)[ball]
         usual = median(larger)
-        return BallSize(usual, float(_MEDIAN * MAD_TO_SD * median(np.abs(larger - usual)) / np.sqrt(len(larger))))
+        return BallSize(usual, float(MEDIAN_SD * MAD_TO_SD * median(np.abs(larger - usual)) / np.sqrt(len(larger))))
 
 
 def ball_size_check(sizes: Sequence[BallSize]) -> Check:

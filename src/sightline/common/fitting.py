@@ -13,6 +13,7 @@ from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
 MEDIAN_M2 = 1.386  # of chi-square with two degrees of freedom, 2 ln 2; more digits would change stored estimates
 MAD_TO_SD = 1.4826  # s.d. of a normal distribution over its median absolute deviation
+MEDIAN_SD = 1.2533  # s.d. of the median over that of the mean (normal distribution)
 
 
 def median(values: np.ndarray) -> float:

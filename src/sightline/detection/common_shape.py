@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from sightline.common.checks import Check
-from sightline.common.fitting import MAD_TO_SD, distances
+from sightline.common.fitting import MAD_TO_SD, MEDIAN_SD, distances
 from sightline.imaging import Radiograph
 
 _ANGLES, _STEP_PX = 32, 0.5  # of the polar grid about each bead
@@ -18,7 +18,6 @@ _REACH_PX = 8.0  # beyond a bead's rim, where no other bead may lie: the largest
 _SHIFTS_PX = 2.0, 3.0, 4.5, 6.5  # of a copy: one between two of them matches the next [ours]
 _MIN_BEADS = 8  # isolated ones; fewer do not give a standard error [ours]
 _SURE = 3.0  # standard errors that are subtracted
-_MEDIAN = 1.2533  # s.d. of the median over that of the mean (normal distribution)
 _MIN_CONTRAST = 1e-3  # of log intensity [ours]
 _HALVES = 0.25, 0.75  # of a bead's contrast: between them its rim is measured [ours]
 _BLUR_PX2 = 3.2  # squared blur along one direction per unit of what copies 2 px to both sides would add [calc]
@@ -126,8 +125,9 @@ def _common(shadows: list["_Shadow"]) -> CommonShape:
     both = np.array([shadow.both_sides for shadow in shadows])
     along = int(np.argmax(np.median(both, axis=0)))
     blur2 = float(np.median(both[:, along]) - _SURE * both[:, along].std() / np.sqrt(len(both)))
-    aspect = float(np.median([shadow.aspect for shadow in shadows]))
-    spread = float(np.median(np.abs(np.array([shadow.aspect for shadow in shadows]) / aspect - 1)))
+    aspects = np.array([shadow.aspect for shadow in shadows])
+    aspect = float(np.median(aspects))
+    spread = float(np.median(np.abs(aspects / aspect - 1)))
     return CommonShape(
         copy_share=float(share[best]),
         copy_px=(float(shift * np.cos(angle)), float(shift * np.sin(angle))),
@@ -137,7 +137,7 @@ def _common(shadows: list["_Shadow"]) -> CommonShape:
         aspect=aspect,
         soft=float(np.median([shadow.soft for shadow in shadows])),
         aspect_spread=spread,
-        aspect_sd=float(_MEDIAN * MAD_TO_SD * spread / np.sqrt(len(shadows))),
+        aspect_sd=float(MEDIAN_SD * MAD_TO_SD * spread / np.sqrt(len(shadows))),
     )
 
 
