@@ -52,8 +52,7 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCa
             f"the image is smeared by movement at about {moved.angle_deg:.0f}° to its rows: rims are softer there than "
             f"across ({moved.directed:.2f}, at most {DIRECTED:g}); hold still, and take it again in a single exposure"
         )
-    # Only here, because it takes half as long as detection, and beads reveal a tear in the view's checks. After the
-    # check for movement, since smeared lines match each other once shifted.
+    # After the check for movement, since smeared lines match each other once shifted.
     tear = torn(image)
     if tear is not None:
         return tear.sentence

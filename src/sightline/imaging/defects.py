@@ -63,7 +63,7 @@ def torn(image: Radiograph) -> Tear | None:
 
 
 def _torn(pixels: np.ndarray, inside: np.ndarray, *, rows: bool) -> Tear | None:
-    from scipy.ndimage import median_filter  # here: its import takes 40 ms, and few images are searched for tears
+    from scipy.ndimage import median_filter  # here: its import takes 40 ms
 
     both = inside[1:] & inside[:-1]
     count = np.count_nonzero(both, axis=1)
