@@ -133,6 +133,7 @@ class ScriptedRobot:
         self.expires_s = np.inf
         self.aligned = False
         self.deeper_mm = 0.0  # by which it drills deeper than it says
+        self.open_hole_mm: float | None = None
         self.types = OURS if simulated else OURS[:-1]
         self.commands: list[str] = []
         self.plans: list[str] = []  # that it was sent, by their identifiers
@@ -340,6 +341,8 @@ class ScriptedRobot:
         if good:
             peer.send("TARGET", pose)
             if self.says_reachable:
+                if self.open_hole_mm is not None:
+                    peer.send(contract.OPEN_HOLE_DEPTH, Sensor(np.array([self.open_hole_mm])))
                 reached = self.aside(self.aside(pose.matrix, "would lay it aside"), "would lay it deeper")
                 peer.send("REACHABLE_TARGET", Transform(reached))
 

@@ -142,6 +142,23 @@ def test_a_zero_of_depth_is_moved_by_contact_or_a_shot_alone(monkeypatch, deeper
             robot.drill()
 
 
+def test_an_open_hole_s_depth_is_a_number_and_its_zero_may_have_moved():
+    peer = ScriptedRobot(steps=2)
+    peer.deeper_mm, peer.open_hole_mm = 2.0, 30.0
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        robot.aim(TARGET, {contract.LENGTH_MM: repr(peer.length_mm)})
+        robot.align()
+        robot.drill()
+        assert robot.open_hole_mm == 30.0
+        peer.open_hole_mm = np.nan
+        with pytest.raises(RobotRefusedError, match="the robot's arm/open_hole is not one depth in mm"):
+            robot.aim(TARGET)
+        peer.open_hole_mm = None
+        told(robot)
+        assert robot.open_hole_mm is None
+
+
 def test_answers_are_those_of_their_questions():
     peer = ScriptedRobot()
     with serving(peer) as port, RobotClient(port=port) as robot:

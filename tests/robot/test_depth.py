@@ -9,7 +9,7 @@ import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, SETUP, IdealPlant, Rig, code, metadata, wire
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.contract import DEPTH, DEPTH_SD
+from sightline.robot.contract import DEPTH, DEPTH_SD, OPEN_HOLE_DEPTH
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Capability, Message, Status, Transform
 from sightline.robot.kinematics.manipulator import FEED
@@ -229,22 +229,20 @@ def stopped(why: str) -> tuple[Rig, DepthZero]:
     return rig, zero
 
 
-def told_again(rig: Rig, end_mm: np.ndarray = END_MM) -> str:
-    """Register and send the target, align and begin to drill; return what the robot says of the target."""
+def told_again(rig: Rig, end_mm: np.ndarray = END_MM) -> list[float]:
+    """Register and send the target, align and begin to drill; return the depths of an open hole that were told."""
     rig.go(("START_UP", "CALIBRATION", "CLB", "TARGETING"))
     said = aimed(rig, {}, SHORT_MM, end_mm)
     assert code(said, "TARGET") == 1
     rig.go(("MOVE_TO_TARGET", State.ALIGNED, "DRILL"))
-    return next(m.body.text for m in said if isinstance(m.body, Status))
+    return [float(m.body.values[0]) for m in said if m.device_name == OPEN_HOLE_DEPTH]
 
 
 @pytest.mark.parametrize("why", ["STOP", "client lost", "fault"])
 def test_a_hole_left_unfinished_is_finished_from_its_bottom(why):
     """Its zero holds, contact is not sought, and both parts are recorded."""
     rig, zero = stopped(why)
-    told = told_again(rig).split()
-    assert (told[:2], told[3]) == (["open", "hole;"], "mm")
-    assert float(told[2]) == pytest.approx(6.0, abs=0.1)
+    assert told_again(rig) == [pytest.approx(6.0, abs=0.1)]
     rig.run_until(State.PAUSED)
     rig.command("DRILL")
     rig.run_until(State.DONE)
@@ -276,7 +274,7 @@ def test_bone_in_an_open_hole_stops_and_another_target_has_none():
     assert any("in the hole that it drilled to 6.0 mm: bone or robot has moved" in text for text in texts(said))
     assert rig.plant.q[FEED] - rig.plant.zero_mm < 1.5
     rig.plant.moved = False
-    assert told_again(rig, END_MM + np.array([0.1, 0.0, 0.0])) == ""
+    assert told_again(rig, END_MM + np.array([0.1, 0.0, 0.0])) == []
     said = rig.run_until(State.STOP)
     assert any("no bone was met" in text and "a hole that this robot does not know" in text for text in texts(said))
 

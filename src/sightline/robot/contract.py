@@ -24,7 +24,8 @@ CURRENT_STATUS, CURRENT_POSITION = "CURRENT_STATUS", "CURRENT_POSITION"
 MEASURED_CP, MEASURED_JS = f"{ARM}/measured_cp", f"{ARM}/measured_js"
 FORCE, DEPTH, CYCLES = f"{ARM}/force", f"{ARM}/depth", f"{ARM}/cycles"
 DEPTH_SD = f"{ARM}/depth_sd"  # standard deviation of the depth
-OPEN_HOLE = "open hole"  # event, and text of TARGET's STATUS: "open hole; 30.00 mm", the depth of one begun before
+OPEN_HOLE_DEPTH = f"{ARM}/open_hole"  # depth of the target's hole, if it was begun before
+OPEN_HOLE = "open hole"  # event; also in TARGET's STATUS, for people
 EVENT = f"{ARM}/event"  # event from drilling supervision: "break-through; 5.31 mm; 12.4 N"
 
 # Capabilities that a peer may announce in CAPABILITY beside message types, at most twelve characters each.

@@ -1,7 +1,6 @@
 """Navigation's end of the link: a blocking client with one call per step; each call returns or raises in time."""
 
 import math
-import re
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -30,7 +29,6 @@ from sightline.robot.link.record import SimulatedWire
 from sightline.robot.link.shared_connection import LateError, SharedConnection
 from sightline.robot.transport import LOOPBACK, PORT
 
-_OPEN_HOLE = re.compile(contract.OPEN_HOLE + r"; (-?\d{1,4}\.\d{1,3}) mm")
 MOTION_S = 300.0  # time limit of the longest motion, 250 mm at 1 mm/s, with a margin [calc]
 
 
@@ -110,6 +108,7 @@ class RobotClient(Exchange, Closing):
         Raises RobotRefusedError also if the robot acknowledges another target, or would put the wire elsewhere; motion
         commands are then refused here."""
         self._target = self.open_hole_mm = None
+        self.latest.pop(contract.OPEN_HOLE_DEPTH, None)
         self.command(Trigger.TARGETING.value).refuse_unless_ok()
         with self.connection.mailbox() as mail:
             answer, echo = self.send_pose(
@@ -125,6 +124,8 @@ class RobotClient(Exchange, Closing):
             refuse_other_pose(matrix_of(echo), T_cfcs_wire.as_matrix(), "target")
             reached = pose_of(reachable or echo)
             WireDeviation.of(reached, T_cfcs_wire).refuse_large("the robot would lay the wire")
+            if (hole := self.latest.get(contract.OPEN_HOLE_DEPTH)) is not None:  # comes before REACHABLE_TARGET
+                self.open_hole_mm = _depth_of(hole)
         self._target = T_cfcs_wire
         said_mm = {} if metadata is None else metadata
         self._length_mm = float(said_mm[contract.LENGTH_MM]) if contract.LENGTH_MM in said_mm else None
@@ -132,9 +133,8 @@ class RobotClient(Exchange, Closing):
         # A drill through something before the bone, or beyond its end, is not corrected by contact.
         by_contact = self._beyond_mm == float(said_mm.get(contract.BEFORE_MM, 0.0)) == 0.0
         self._zero_shift_mm = CONTACT_WEIGHT * MAX_ZERO_SHIFT_MM * by_contact
-        if (hole := _OPEN_HOLE.match(answer.text)) is not None:
-            # Its zero holds on, which a shot may have moved.
-            self.open_hole_mm, self._zero_shift_mm = float(hole[1]), MAX_ZERO_SHIFT_MM
+        if self.open_hole_mm is not None:
+            self._zero_shift_mm = MAX_ZERO_SHIFT_MM  # its zero holds on, which a shot may have moved
         return reached
 
     def aim_plan(self, target: RobotTarget, now_s: float, depth_limit_mm: float) -> RigidTransform:
@@ -277,6 +277,14 @@ class RobotClient(Exchange, Closing):
     def _refuse_doubted(self) -> None:
         for why in self._doubts.values():
             raise RobotRefusedError(f"nothing may move: {why}")
+
+
+def _depth_of(message: Message) -> float:
+    """Return the depth in a SENSOR, mm. Raises RobotRefusedError if it has none."""
+    body = message.body
+    if not isinstance(body, Sensor) or body.values.shape != (1,) or not np.isfinite(body.values).all():
+        raise RobotRefusedError(f"the robot's {message.device_name} is not one depth in mm")
+    return float(body.values[0])
 
 
 def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> dict[str, str]:

@@ -17,6 +17,7 @@ from sightline.robot.control.drilling import Drilling
 from sightline.robot.control.requests import Answer, Outcome
 from sightline.robot.control.states import COMMANDS, MOVING, Trigger
 from sightline.robot.igtl import (
+    MILLIMETRE,
     Capability,
     Command,
     CommandReply,
@@ -24,6 +25,7 @@ from sightline.robot.igtl import (
     Get,
     Message,
     Rejected,
+    Sensor,
     Status,
     String,
     Transform,
@@ -213,6 +215,8 @@ class Dialogue:
         if answer.code is Code.OK and insertion is not None:
             bodies.append((TARGET, insertion.sent))
             if self.dialect.tells_reachable:
+                if (hole := self._machine.open_hole(insertion)) is not None:
+                    bodies.append((contract.OPEN_HOLE_DEPTH, Sensor(np.array([hole.bottom_mm]), MILLIMETRE)))
                 bodies.append(("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire)))
         return bodies
 
