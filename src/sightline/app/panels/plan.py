@@ -322,10 +322,8 @@ def metrics_html(tab: Tab) -> Markup:
 
 
 def _refused(known: Planned) -> list[str]:
-    """Return the reasons for missing metrics whose aids are all drawn, each reason once."""
-    missing = {f"Not known: {why}." for why in known.anatomy.absent.values()}
-    absent = dict.fromkeys(metric.sentence for metric in known.metrics if metric.value is None)
-    return [sentence for sentence in absent if sentence not in missing]
+    """Return the reasons for missing metrics whose parts of the bone are all located, each reason once."""
+    return list(dict.fromkeys(one.sentence for one in known.metrics if one.value is None and one.located))
 
 
 def _gaps(tab: Tab) -> list[tuple[str, str, str]]:

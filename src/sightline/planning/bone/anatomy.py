@@ -22,7 +22,7 @@ from sightline.planning.points.picks import Pick, PickArrays, stack
 from sightline.planning.points.results import SpacePoints
 from sightline.planning.points.solution import Method, Solution, inverse, solve
 
-NOT_PLACED = {
+_NOT_PLACED = {
     "head": "the head is not drawn: draw a circle over it in both images",
     "neck": "the neck axis is not drawn: draw a line along it in both images",
     "shaft": "the shaft axis is not drawn: draw a line along it in both images",
@@ -33,21 +33,26 @@ NOT_PLACED = {
 }
 
 
+class _NotDrawnError(ReconstructionRefusedError):
+    """A part is located by another one that is not drawn."""
+
+
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """The located parts of the bone, and `absent`: the reason for each part that could not be located.
+    """The located parts of the bone, and `absent`: the reason for each drawn part that could not be located.
 
     `values` (n,), CFCS mm: the numbers of all parts; `covariance` (n, n), mm²: their joint covariance, None where a
     view's error is unknown. `at`: each part's place in `values`: "focal" (6: focal points of PA and lateral view),
     "wire" (6: entry, end), "head" (4: centre, radius), "neck", "shaft" (6: both ends), "calcar", "cortex" (3: the
     point of the click's line of sight nearest to the head and to the shaft), "outline" and the keys of other aids (see
-    `find_drawing`).
+    `find_drawing`). `waiting`: the absent parts that are located by one that is not drawn.
     """
 
     values: np.ndarray
     covariance: np.ndarray | None
     at: dict[str, slice]
     absent: dict[str, str]
+    waiting: frozenset[str]
     head_agreement: Check | None
 
     def why_absent(self, name: str) -> str:
@@ -56,7 +61,7 @@ class Anatomy:
 
     def undrawn(self, name: str) -> bool:
         """Return True for a part that was not drawn, rather than refused."""
-        return name not in self.at and self.why_absent(name) == _not_placed(name)
+        return name not in self.at and name not in self.absent
 
     @cached_property
     def head(self) -> Sphere | None:
@@ -129,21 +134,23 @@ def located(drawings: "Drawings", solution: Callable[[], Solution] | None, landm
     size, second = len(sights.values), 3 + 2 * len(sights.lines[0].xy_mm)
     focal = np.r_[0:3, second : second + 3]
     parts = {"focal": (sights.values[focal], np.eye(size)[focal])}
-    absent, agreement = dict(drawings.absent), None
+    absent, waiting, agreement = dict(drawings.absent), set[str](), None
 
     def part(name: str) -> np.ndarray:
+        if name in absent:
+            raise ReconstructionRefusedError(absent[name])
         if name not in parts:
-            raise ReconstructionRefusedError(absent.get(name, _not_placed(name)))
+            raise _NotDrawnError(_not_placed(name))
         return parts[name][0]
 
     for name, find in _finders(drawings, solution, landmarks, part).items():
         if not any(name in rows for rows in sights.rows):
-            absent.setdefault(name, _not_placed(name))
             continue
         try:
             values, own, *check = find()
         except SightlineError as refusal:
             absent[name] = str(refusal)
+            waiting |= {name} if isinstance(refusal, _NotDrawnError) else set()
             continue
         agreement = check[0] if check else agreement
         parts[name] = values, np.zeros((len(values), size))
@@ -151,9 +158,9 @@ def located(drawings: "Drawings", solution: Callable[[], Solution] | None, landm
     counts = np.cumsum([0, *(len(values) for values, _ in parts.values())])
     at = {name: slice(int(a), int(b)) for name, a, b in zip(parts, counts, counts[1:], strict=False)}
     by_z, covariance = np.concatenate([own for _, own in parts.values()]), sights.covariance
-    absent = {name: why for name, why in NOT_PLACED.items() if name not in at} | absent
     joint = None if covariance is None else by_z @ covariance @ by_z.T
-    return Anatomy(np.concatenate([values for values, _ in parts.values()]), joint, at, absent, agreement)
+    values = np.concatenate([values for values, _ in parts.values()])
+    return Anatomy(values, joint, at, absent, frozenset(waiting), agreement)
 
 
 def _finders(
@@ -179,7 +186,7 @@ def _finders(
 
 def _not_placed(name: str) -> str:
     """Return what to do for a part that is not drawn."""
-    return NOT_PLACED.get(name) or f"the {name} is not drawn: draw it as the procedure says"
+    return _NOT_PLACED.get(name) or f"the {name} is not drawn: draw it as the procedure says"
 
 
 def _drawn(

@@ -30,6 +30,7 @@ class Metric:
 
     `value` is None where it cannot be computed; `sentence` then says why. `sd` is None where a view's error is unknown.
     `zone`: the third of the head, for positions in the head. `source`: of the definition and the recommendation.
+    `located`: whether all parts of the bone that it needs are located.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Metric:
     low: float | None = None
     high: float | None = None
     zone: str | None = None
+    located: bool = True
 
     @property
     def within(self) -> bool | None:
@@ -110,7 +112,8 @@ def _metric(anatomy: Anatomy, definition: _Definition, side: str | None) -> Metr
     try:
         value, sd = _evaluated(anatomy, definition.needs, definition.value, side)
     except ReconstructionRefusedError as refusal:
-        return Metric(definition.name, None, None, unit, f"Not known: {refusal}.", *end)
+        located = anatomy.at.keys() >= set(definition.needs)
+        return Metric(definition.name, None, None, unit, f"Not known: {refusal}.", *end, located=located)
     spread = "" if sd is None else f" ± {sd:.1f}"
     return Metric(definition.name, value, sd, unit, definition.sentence.format(f"{value:.1f}{spread} {unit}"), *end)
 
@@ -457,7 +460,8 @@ def _position(anatomy: Anatomy, view: str, side: str) -> Metric:
     try:
         value, sd = _evaluated(anatomy, ("wire", "head"), offset, side)
     except ReconstructionRefusedError as refusal:
-        return Metric(name, None, None, "mm", f"Not known: {refusal}.", source)
+        located = anatomy.at.keys() >= {"wire", "head"}
+        return Metric(name, None, None, "mm", f"Not known: {refusal}.", source, located=located)
     third = float(anatomy.part("head")[3]) / 3
     zone = "centre" if abs(value) <= third else words[0] if value > 0 else words[1]
     spread = "" if sd is None else f" ± {sd:.1f}"

@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.common.checks import Check
 from sightline.common.geometry.covariance import TWO_SIDED_95
-from sightline.planning.bone.anatomy import NOT_PLACED, Anatomy
+from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.directions import ANTERIOR, MEDIAL, caudal, lies
 from sightline.planning.bone.metrics import Metric, metric, metric_of_wires, tip_depth
 from sightline.planning.points.results import Verdict
@@ -96,7 +96,7 @@ class _Bone:
         ]
         parts = [part for part in parts if part not in LANDMARKS]
         why = {part: self.anatomy.why_absent(part) for part in parts}
-        waits = {part for part, text in why.items() if self.anatomy.undrawn(part) or text in NOT_PLACED.values()}
+        waits = {part for part in parts if self.anatomy.undrawn(part) or part in self.anatomy.waiting}
         undrawn = unpicked + [why[part] for part in parts if part in waits]  # itself, or what it is located by
         refused = [why[part] for part in parts if part not in waits]
         with_side = check.side and (rule.check not in MEASURES or rule.check == "above lesser trochanter")
@@ -252,13 +252,13 @@ def _unmade(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
 
     if "side" in asked and bone.side is None:
         wanting("side", "The side is not given: look at both images and state whether it is the right or the left one.")
-    if _OF_HEAD & asked and anatomy.absent.get("head") == NOT_PLACED["head"]:
+    if _OF_HEAD & asked and anatomy.undrawn("head"):
         wanting(
             "head",
             "The head is not drawn: draw its outline in both images. Without it neither the order of the wire's ends "
             "nor the tip's depth in the bone can be checked.",
         )
-    elif "head" not in anatomy.at and anatomy.absent["head"] != NOT_PLACED["head"]:
+    elif "head" in anatomy.absent:
         wanting("head", f"The head is not known: {anatomy.absent['head']}.", missing=False)
     said = ({"head"} if any(check.name == "head" for check in unmade) else set()) | ({"side"} & asked)
     of_name: dict[str, tuple[list[str], list[str]]] = {}
