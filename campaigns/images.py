@@ -51,7 +51,7 @@ def planned(images: dict[str, Radiograph], rehearsal: Rehearsal, clicks: Clicks)
     frame, views = rehearsal.setup.frame, []
     for name in VIEWS:
         beads = sl.detect(images[name])
-        views.append(view_of(label_beads(images[name], beads, frame, name), images[name], frame))
+        views.append(view_of(label_beads(images[name], beads, frame, name, live=True), images[name], frame))
     return judged(clicks.plan(views), rehearsal.hip.wire_mm)
 
 

@@ -13,7 +13,7 @@ from sightline.detection import Detections, Observations
 from sightline.detection.csv_files import are_detections, label_csv, read_observations
 from sightline.errors import FrameError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
-from sightline.from_images.pipeline import find_beads, known_arm, label_first, view_of
+from sightline.from_images.pipeline import find_beads, known_arm, label_beads, view_of
 from sightline.imaging import Radiograph, read_image
 from sightline.planning.procedures import Procedure
 
@@ -118,7 +118,7 @@ def see(
     Raises RefusedError, and what reading raises.
     """
     image, beads = find_beads(read_image(path, frame_index, invert=invert))
-    return ObservedView(anonymous_name(path), label_first(image, beads, frame, view, datums), image, beads)
+    return ObservedView(anonymous_name(path), label_beads(image, beads, frame, view, datums), image, beads)
 
 
 def _from_csv(path: Path, name: str, frame: Frame) -> ObservedView:

@@ -76,7 +76,7 @@ def calibrate_image(
     """
     frame = Frame.of(frame)
     image, beads = find_beads(as_radiograph(image, white))
-    observations = label_first(image, beads, frame, view, datums)
+    observations = label_beads(image, beads, frame, view, datums)
     return view_of(observations, image, frame, method, c_arm or known_arm(image), mirrored_display=mirrored_display)
 
 
@@ -220,34 +220,21 @@ def label_beads(
     frame: Frame,
     view: str | None = None,
     datums: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    live: bool = False,
 ) -> Observations:
     """Return the labelled beads of an image (`label`), partly hidden ones fitted again (`look_again`).
 
-    Raises LabellingRefusedError, which names what is wrong with the image where its pixels tell.
+    Raises LabellingRefusedError, which names what is wrong with the image where its pixels tell, and which other
+    frame's balls it shows. The latter takes up to a second, so a `live` image is refused without it.
     """
     try:
         observations = label(beads, frame, view, datums)
     except LabellingRefusedError as refused:
         why = cause_of(image, np.column_stack([beads.uv_px, beads.radius_px]), beads.rejected)
-        raise LabellingRefusedError(f"{why} ({refused})" if why else str(refused)) from None
+        other = "" if live else _of_another_frame(beads, frame)
+        raise LabellingRefusedError(other + (f"{why} ({refused})" if why else str(refused))) from None
     return look_again(image, beads, observations, frame)
-
-
-def label_first(
-    image: Radiograph,
-    beads: Detections,
-    frame: Frame,
-    view: str | None = None,
-    datums: Mapping[str, tuple[float, float]] | None = None,
-) -> Observations:
-    """Return what `label_beads` returns; a refusal also says which other frame's balls the image shows.
-
-    That takes a second, so it is for images given one by one.
-    """
-    try:
-        return label_beads(image, beads, frame, view, datums)
-    except LabellingRefusedError as refused:
-        raise LabellingRefusedError(f"{_of_another_frame(beads, frame)}{refused}") from None
 
 
 def _of_another_frame(beads: Detections, frame: Frame) -> str:

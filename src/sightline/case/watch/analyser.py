@@ -205,7 +205,7 @@ class LiveAnalyser:
         # Detection inverts an image that shows the balls bright, and then runs twice: begin as with the last image.
         upright, beads = find_beads(image.inverted() if self._inverted else image)
         self._inverted = upright.is_inverted != image.is_inverted
-        seen = label_beads(upright, beads, self._frame)
+        seen = label_beads(upright, beads, self._frame, live=True)
         return calibrate(seen, self._frame), seen
 
     def _movement(self, view: BeadView, seen: Observations) -> tuple[MovementStatus | None, str]:
