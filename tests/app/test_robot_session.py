@@ -92,6 +92,22 @@ def test_a_motion_that_a_person_stopped_is_no_refusal(
     assert session.now.last_error == said
 
 
+def test_an_open_hole_is_told(session: RobotSession, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    client, target = session._client, SimpleNamespace(registration=SimpleNamespace(T_mcs_cfcs=None, imaged_s=0.0))
+    for name in ("start_up", "calibrate"):
+        monkeypatch.setattr(client, name, lambda *_: None)
+    monkeypatch.setattr(client, "aim_plan", lambda *_: setattr(client, "open_hole_mm", 30.0))
+    asyncio.run(session.send(target, 80.0))
+    drilling = SimpleNamespace(now=session.now, session=None, changed="")
+    of = SimpleNamespace(drilling=drilling, readiness=SimpleNamespace(can_send=True))
+    for name in ("heading", "_state"):
+        monkeypatch.setattr(drill, name, lambda *_: None)
+    monkeypatch.setattr(drill, "note", lambda text, **_: told.append(text))
+    drill._robot(SimpleNamespace(planning=SimpleNamespace(drilled=None), session=of))
+    assert "This hole was drilled to 30.0 mm before: the robot drills on there" in told[0]
+
+
 def test_nobody_is_told_of_a_link_that_was_ended_on_purpose() -> None:
     """When the program ends, the loop that would hear of it has ended already."""
     told: list[str] = []

@@ -6,6 +6,7 @@ The images show the block and soft tissue. Wire and landmarks are picked, with n
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import CHECK_NAMES
-from sightline.cli.drive import _target
+from sightline.cli.drive import _show, _target
 from sightline.frame import Frame
 from sightline.imaging import write_dicom
 from sightline.planning.check.shot import ALIGNED, PAUSED
@@ -260,6 +261,17 @@ def test_the_check_shot_judges_where_the_robot_says_all_is_right(
     page = (rehearsed / f"report-{code}" / "report.html").read_text()
     assert (">NOT CONFIRMED: " in page) is (code == 3)
     assert (">CONFIRMED: " in page) is (code == 0)
+
+
+@pytest.mark.parametrize(("serial", "words"), [("none", "side right, frame without a serial"), ("SN-7", "frame SN-7")])
+def test_frame_and_open_hole_are_told_before_anything_moves(serial, words) -> None:
+    told: list[str] = []
+    target = dict.fromkeys(("length_mm", "entry_error_95_mm", "end_error_95_mm"), 1.0)
+    target |= dict.fromkeys(("entry_mm", "end_mm"), np.zeros(3))
+    identity = SimpleNamespace(side="right", frame_serial=serial)
+    output = SimpleNamespace(table=lambda *_: None, say=told.append)
+    _show(output, SimpleNamespace(**target, identity=identity), SimpleNamespace(simulated=True, open_hole_mm=3.0))
+    assert told[0].endswith(words) and "this hole was drilled to 3.0 mm before" in told[1]
 
 
 @pytest.mark.slow

@@ -377,13 +377,15 @@ def _tell(robot: "RobotClient", target: "RobotTarget", now_s: float) -> None:
 
 
 def _show(output: Output, target: "RobotTarget", robot: "RobotClient") -> None:
-    entry, end = target.entry_mm, target.end_mm
+    from sightline.robot import contract
+
+    entry, end, serial = target.entry_mm, target.end_mm, target.identity.frame_serial
     rows = [(name, *(f"{v:.1f}" for v in xyz)) for name, xyz in (("entry", entry), ("end", end))]
     kind = "simulated robot" if robot.simulated else "REAL ROBOT"
     output.table(f"Wire of {target.length_mm:.1f} mm for a {kind}, MCS, mm", ("point", "x", "y", "z"), rows)
     output.say(
         f"95 % errors: entry {target.entry_error_95_mm:.2f} mm, tip {target.end_error_95_mm:.2f} mm; side "
-        f"{target.identity.side}, frame {target.identity.frame_serial}"
+        f"{target.identity.side}, frame {'without a serial' if serial == contract.NO_SERIAL else serial}"
     )
     if robot.open_hole_mm is not None:
         output.say(

@@ -33,6 +33,7 @@ from sightline.rehearsal.patient import (
     anatomical_wires,
     retaken,
 )
+from sightline.robot.contract import NO_SERIAL
 from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator, imaging_yaw
 from sightline.robot.link.record import SimulatedWire
@@ -48,7 +49,6 @@ from sightline.twin.xray.setup import BEAMS
 SHOWN_MM, MAX_SHOWN_MM, PICKED = 25.0, 60.0, 7
 # Of a frame fixed to the patient by hand, s.d. of a twist against its place at the images: 2° and 3 mm per axis [ours].
 ON_PATIENT_SD = np.array([np.deg2rad(2.0)] * 3 + [3.0] * 3)
-NO_SERIAL = "none"  # sent to the robot for a frame without a serial
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,6 +56,7 @@ FRAME, KIND, POSITION_LIMIT_MM, DIRECTION_LIMIT_DEG, BEYOND_MM, BEFORE_MM = (
     "beyond_mm",
     "before_mm",
 )
+NO_SERIAL = "none"  # FRAME_SERIAL of a frame without one
 YES, NO = "yes", "no"
 MM, CFCS, MCS = "mm", "CFCS", "MCS"
 

@@ -24,12 +24,12 @@ from sightline.app.panels.section import (
 )
 from sightline.app.panels.steps import build_next_wire, next_wire, waits_for
 from sightline.app.session.planning import Planning
-from sightline.app.session.readiness import NO_SERIAL
 from sightline.app.session.sent import ZeroSource
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
 from sightline.common.geometry.covariance import TWO_SIDED_95
+from sightline.robot.contract import NO_SERIAL
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.target import PLAN_SD_MM
 
@@ -100,6 +100,11 @@ def _robot(tab: Tab) -> None:
             note(f"Fault {now.fault}: {now.text}", kind="bad", testid="fault")
         elif not tab.session.readiness.can_send and planning.drilled is None:
             note(texts.ONLY_GO, kind="warn", testid="not-go")
+        if now.open_hole_mm is not None and planning.drilled is None:
+            again = "the robot drills on there, and stops if it meets bone before"
+            note(
+                f"This hole was drilled to {now.open_hole_mm:.1f} mm before: {again}.", kind="warn", testid="open-hole"
+            )
         if tab.session.drilling.changed:
             note(tab.session.drilling.changed, kind="bad", testid="changed-after-sending")
         if session is not None and now.state in _RETRACTABLE:

@@ -12,6 +12,7 @@ from sightline.case.journal import Actor
 from sightline.common.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.planning.points.results import Verdict
+from sightline.robot.contract import NO_SERIAL
 from sightline.robot.kinematics.target import LIFETIME_S
 
 _CLOCKS_APART = timedelta(seconds=5)  # tolerated between C-arm and this machine, both set by one time server [ours]
@@ -80,9 +81,6 @@ class PlanAge:
 def is_fresh(age_s: float | None) -> bool:
     """Return True if images of this age are recent enough to act on; None: unknown age."""
     return age_s is not None and 0.0 <= age_s <= LIFETIME_S
-
-
-NO_SERIAL = "none"  # what a person types where the frame has none
 
 
 class Readiness:

@@ -42,7 +42,7 @@ class RobotNow:
     """The robot's state at one moment. `state`: as in the link's contract; `fault`: its number, 0 for none.
     `activity`: what the current command does, "" without one; `last_error`: the error of the last command, "" without
     one. `depth_sd_mm`: standard deviation of the depth, None if not stated; `zero`: what the zero of depth is based
-    on."""
+    on; `open_hole_mm`: depth of the target's hole where it was begun before."""
 
     state: str = "UNDEFINED"
     text: str = ""
@@ -52,6 +52,7 @@ class RobotNow:
     depth_mm: float | None = None
     depth_sd_mm: float | None = None
     zero: tuple[ZeroSource, ...] = (ZeroSource.PLAN,)
+    open_hole_mm: float | None = None
     force_n: float | None = None
     joints: np.ndarray | None = None
     lost: bool = False
@@ -129,8 +130,10 @@ class RobotSession:
             client.start_up()
             client.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
             client.aim_plan(target, time.monotonic(), depth_limit_mm)
+            self._put(open_hole_mm=client.open_hole_mm)
 
         self._recorder, self.target = Recorder(), None
+        self._put(open_hole_mm=None)
         await self._do("receiving the plan", command)
         self.target, self.depth_limit_mm = target, depth_limit_mm
 
