@@ -79,6 +79,10 @@ const keepFocus = () => {
   within.focus({ preventScroll: true });
 };
 
+// Until the handshake NiceGUI keeps each event on a timer of its own, so that they are sent in any order: Enter before
+// the text of its field. Socket.IO keeps their order, and sends them after the handshake, which is part of connecting.
+Object.defineProperty(window, "did_handshake", { get: () => true, set: () => {} });
+
 // The page probes the program five times a second. Without an answer the page may be out of date and STOP does not
 // reach the robot: body.dead shows that (page.css). Nothing is shown before the first connection, while the page is built.
 const ASK_MS = 200; // [ours]
