@@ -380,6 +380,8 @@ KINDS = (
     WrongKind("sacrum: tip short of the body of S1", SACRAL, "tip past promontory", shorter_end),
     WrongKind("sacrum: entry inside the ilium", SACRAL, "entry to cortex", deeper_entry),
     WrongKind("sacrum: entry off the ilium", SACRAL, "entry to cortex", entry_in_air, also=("wire length",)),
+    WrongKind("epiphysis: entry inside the bone", EPIPHYSIS, "entry to cortex", deeper_entry, also=("wire length",)),
+    WrongKind("epiphysis: entry in air", EPIPHYSIS, "entry to cortex", entry_in_air, also=("wire length",)),
 )
 
 

@@ -15,6 +15,9 @@ from sightline.planning.bone.directions import across, unit
 from sightline.planning.points.lines_of_sight import Sights
 from sightline.planning.points.trajectory import MIN_LENGTH_MM
 
+# Planes: the bone's surface at the entry, as one image shows it.
+ENTRY_BORDERS = ENTRY, ENTRY_LATERAL = "entry-cortex", "entry-cortex-lateral"
+
 # For both images the focal point and four clicks on the view's plate, (K, 2, 5, 3).
 Tube = np.ndarray
 _MIN_SINE = 0.5  # [ours] of the angle between the two views of the tube, seen along it: below, an error counts twofold

@@ -13,7 +13,7 @@ from sightline.common.geometry.covariance import response
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.directions import ANTERIOR, MEDIAL, across, caudal, towards, unit
-from sightline.planning.bone.drawings import entry_to_oval, tip_in_tube, wire_in_oval, wire_in_tube
+from sightline.planning.bone.drawings import ENTRY_BORDERS, entry_to_oval, tip_in_tube, wire_in_oval, wire_in_tube
 
 # Beyond this distance from the head's centre, as a share of its radius, a line only grazes the head [ours].
 _MAX_OFFSET = 0.95
@@ -56,7 +56,8 @@ class Metric:
 class _Definition:
     """The parts that a metric needs, its function of K sets of numbers, and its sentence.
 
-    `asked`: few procedures ask for it, so that it is listed only where its parts are known.
+    `asked`: few procedures ask for it, so that it is listed only where its parts are known. `either`: parts of which
+    it needs one.
     """
 
     name: str
@@ -68,6 +69,12 @@ class _Definition:
     low: float | None = None
     high: float | None = None
     asked: bool = False
+    either: tuple[str, ...] = ()
+
+    def missing(self, anatomy: Anatomy) -> list[str]:
+        """Return the parts that it needs and that are not located."""
+        one = self.either[:1] if anatomy.at.keys().isdisjoint(self.either) else ()
+        return [part for part in (*self.needs, *one) if part not in anatomy.at]
 
 
 def metrics(anatomy: Anatomy, side: str) -> tuple[Metric, ...]:
@@ -76,7 +83,7 @@ def metrics(anatomy: Anatomy, side: str) -> tuple[Metric, ...]:
     A metric that cannot be computed has no value and says why. Raises UnusableInputError for another side.
     """
     caudal(side)
-    asked = [known for known in _DEFINITIONS if not known.asked or set(known.needs) <= anatomy.at.keys()]
+    asked = [known for known in _DEFINITIONS if not (known.asked and known.missing(anatomy))]
     made = [_metric(anatomy, definition, side) for definition in asked]
     return (*made, *(_position(anatomy, name, side) for name in ("AP", "lateral")))
 
@@ -110,9 +117,9 @@ def _definition(name: str) -> _Definition:
 def _metric(anatomy: Anatomy, definition: _Definition, side: str | None) -> Metric:
     unit, end = definition.unit, (definition.source, definition.low, definition.high)
     try:
-        value, sd = _evaluated(anatomy, definition.needs, definition.value, side)
+        value, sd = _evaluated(anatomy, definition.missing(anatomy), definition.value, side)
     except ReconstructionRefusedError as refusal:
-        located = anatomy.at.keys() >= set(definition.needs)
+        located = not definition.missing(anatomy)
         return Metric(definition.name, None, None, unit, f"Not known: {refusal}.", *end, located=located)
     spread = "" if sd is None else f" ± {sd:.1f}"
     return Metric(definition.name, value, sd, unit, definition.sentence.format(f"{value:.1f}{spread} {unit}"), *end)
@@ -195,6 +202,14 @@ class _Parts:
     @property
     def middle_of_neck(self) -> np.ndarray:
         return (self._of("neck") + self._of("neck", 3)) / 2
+
+    @property
+    def to_surface(self) -> np.ndarray:
+        """Vector (K, 3) along the wire from the entry to the drawn surface; of two to the deeper one, since the bone
+        lies inside both."""
+        planes = (self.plane(name) for name in ENTRY_BORDERS if name in self._anatomy.at)
+        ways = [((on - self.entry) * n).sum(axis=-1) / (self.wire * n).sum(axis=-1) for on, n in planes]
+        return max(ways, key=lambda way: way[0])[:, None] * self.wire
 
     def beam(self, view: int) -> np.ndarray:
         """Return the ray of a view (0: PA, 1: lateral) through the head's centre."""
@@ -398,12 +413,13 @@ _DEFINITIONS = (
     ),
     _Definition(
         "entry to cortex",
-        ("wire", "entry-cortex"),
-        lambda parts: _to_surface(parts, "entry-cortex"),
+        ("wire",),
+        lambda parts: parts.to_surface,
         "mm",
         "Along the wire the entry lies {} from the drawn surface of the bone.",
         _BY_DEFINITION,
         asked=True,
+        either=ENTRY_BORDERS,
     ),
     _Definition(
         "tip to endplates",
@@ -474,13 +490,6 @@ def _behind(parts: _Parts, name: str) -> np.ndarray:
     """Return how far the tip lies before a plane, seen along the wire."""
     point, normal = parts.plane(name)
     return ((point - parts.tip) * normal).sum(axis=-1)
-
-
-def _to_surface(parts: _Parts, name: str) -> np.ndarray:
-    """Return the vector (K, 3) along the wire from the entry to a plane."""
-    point, normal = parts.plane(name)
-    way = ((point - parts.entry) * normal).sum(axis=-1) / (parts.wire * normal).sum(axis=-1)
-    return way[:, None] * parts.wire
 
 
 def _between(parts: _Parts, *names: str) -> np.ndarray:

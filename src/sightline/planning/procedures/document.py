@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 from sightline.common.checks import CLEAR_MM, MAX_BEFORE_MM, CheckCode, code_key
 from sightline.planning.bone.aids import CLICKS
 from sightline.planning.bone.directions import anatomical
+from sightline.planning.bone.drawings import ENTRY_BORDERS
 from sightline.planning.procedures.proposal import RULES
 
 LANDMARKS = HEAD_CENTRE, LESSER, PROMONTORY = "head-centre", "lesser-trochanter", "promontory"  # that checks need
@@ -86,7 +87,7 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
         "wire in sacral corridor": _known("low", "mm", "s1-corridor", side=False),
         "tip in sacral corridor": _known("low", "mm", "s1-corridor", side=False),
         "tip past promontory": _known("low", "mm", PROMONTORY, side=False),
-        "entry to cortex": _known("high", "mm", "entry-cortex", side=False),
+        "entry to cortex": _known("high", "mm", *ENTRY_BORDERS, side=False),
         "wire in pedicle": _known("low", "mm", "pedicle", side=False),
         "entry to pedicle": _known("low high", "mm", "pedicle", side=False),
         "tip behind front": _known("low", "mm", "front", side=False),

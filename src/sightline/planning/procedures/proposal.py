@@ -11,14 +11,13 @@ from sightline.common.geometry.covariance import length_quantile, response
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.directions import MEDIAL, across, caudal, towards, unit
-from sightline.planning.bone.drawings import axis_of_oval, axis_of_tube
+from sightline.planning.bone.drawings import ENTRY, ENTRY_BORDERS, ENTRY_LATERAL, axis_of_oval, axis_of_tube
 
 # What is accepted of drawn bone, beyond all adults: elsewhere a drawing is wrong [ours]. Distances of the lateral
 # cortex from the shaft's axis: the shaft's outer diameter is 30 mm (physics.md, Femur), the trochanter is wider; of the
 # head's centre from the shaft's axis, 30 to 50 mm in adults; of the middle of the vertebral body from the pedicle, seen
 # from behind, 15 to 25 mm.
 CORTEX_RADII_MM, MIN_OFFSET_MM, MIN_BESIDE_MM = (5.0, 40.0), 15.0, 5.0
-ENTRY, ENTRY_LATERAL = "entry-cortex", "entry-cortex-lateral"  # the bone's surface at the entry, as one image shows it
 # Sine of the angle at which a line crosses a drawn surface or border [ours]: below it, the border's error counts more
 # than threefold along the line.
 MIN_ACROSS = 0.3
@@ -197,7 +196,7 @@ def _entered(anatomy: Anatomy, on_mm: np.ndarray, along: np.ndarray) -> tuple[np
     Of the surfaces of two images the bone lies inside both, so the crossing that is nearer to the point counts.
     """
     crossings = []
-    for name in (ENTRY, ENTRY_LATERAL):
+    for name in ENTRY_BORDERS:
         if name in anatomy.at:
             point, normal = anatomy.part(name)[:3], anatomy.part(name)[3:]
             crossings.append(float((point - on_mm) @ normal) / _steep(float(normal @ along), "surface at the entry"))
