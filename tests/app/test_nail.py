@@ -43,7 +43,7 @@ def _decided(keys: tuple[str, ...] = KEYS, **given: Any) -> Decisions:
         **{"images": {"pa": 1, "lateral": 2}, "kind": KINDS[0], "side": "right", "nail": KNOWN, **given}
     )
     places: dict[str, Any] = {spec.name: rng.uniform(100.0, 900.0, (2, 2)) for spec in NAIL_EDGES}
-    landmarks = NAIL.placed(np.array([[0.0, 0.0, 40.0], [4.0, 0.0, 14.0]]))
+    landmarks = NAIL.placed(np.array([[0.0, 0.0, 40.0], [0.0, -20.0, 14.0]]))
     clicked = {hole_mark(key): MIDDLES[key] for key in keys}
     clicked |= {f"landmark-{name}": at for name, at in zip(("nail-tip", "lateral-epicondyle"), landmarks, strict=True)}
     places |= {name: [view.project(at[None])[0] for view in VIEWS] for name, at in clicked.items()}

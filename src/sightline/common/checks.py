@@ -56,6 +56,7 @@ class CheckCode(StrEnum):
     SIDE = "side"
     HEAD = "head"
     ENTRY_AND_END = "entry-and-end"
+    ENTRY_FROM_LATERAL = "entry-from-lateral"
     TIP_IN_HEAD = "tip-in-head"
     ENTRY_AT_CORTEX = "entry-at-cortex"
     WIRE_LENGTH = "wire-length"
@@ -252,6 +253,7 @@ OF_BONE = frozenset(
         CheckCode.HEAD,
         CheckCode.HEAD_AGREEMENT,
         CheckCode.ENTRY_AND_END,
+        CheckCode.ENTRY_FROM_LATERAL,
         CheckCode.TIP_IN_HEAD,
         CheckCode.ENTRY_AT_CORTEX,
         CheckCode.ENTRY_TO_CORTEX,

@@ -23,7 +23,8 @@ from sightline.twin.anatomy.femur import NARROWEST, Femur
 
 HIP_SCREW, CANNULATED = "hip-screw", "cannulated-hip-screws:inferior"
 PEDICLE, SACRAL, EPIPHYSIS = "pedicle-screw", "iliosacral-screw", "slipped-epiphysis-pin"
-SOLID_ONLY = (SACRAL,)  # no plates have its views; those of the others stand in their directions
+INTERLOCKING = "distal-interlocking:distal"
+SOLID_ONLY = (SACRAL, INTERLOCKING)  # no plates show them; those of the others stand in their directions
 # Sizes: uniform between the first two for NEAR_SHARE of the plans, else between the last two. Kinds without a size
 # (exchanged points, the other side) are far beyond: with them half of all plans lie within NEAR_TIMES.
 MIN_TIMES, NEAR_TIMES, MAX_TIMES, NEAR_SHARE = 3.1, 5.0, 15.0, 0.75
@@ -382,6 +383,8 @@ KINDS = (
     WrongKind("sacrum: entry off the ilium", SACRAL, "entry to cortex", entry_in_air, also=("wire length",)),
     WrongKind("epiphysis: entry inside the bone", EPIPHYSIS, "entry to cortex", deeper_entry, also=("wire length",)),
     WrongKind("epiphysis: entry in air", EPIPHYSIS, "entry to cortex", entry_in_air, also=("wire length",)),
+    WrongKind("interlocking: near and far hole exchanged", INTERLOCKING, "entry from lateral", exchanged=True),
+    WrongKind("interlocking: end past the far hole", INTERLOCKING, "wire length", deeper_end),
 )
 
 

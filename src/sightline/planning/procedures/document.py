@@ -15,7 +15,13 @@ from sightline.planning.bone.directions import anatomical
 from sightline.planning.bone.drawings import ENTRY_BORDERS
 from sightline.planning.procedures.proposal import RULES
 
-LANDMARKS = HEAD_CENTRE, LESSER, PROMONTORY = "head-centre", "lesser-trochanter", "promontory"  # that checks need
+# Landmarks that checks need.
+LANDMARKS = HEAD_CENTRE, LESSER, PROMONTORY, EPICONDYLE = (
+    "head-centre",
+    "lesser-trochanter",
+    "promontory",
+    "lateral-epicondyle",
+)
 
 # [ours] beyond any length (mm) or angle (°) of a wire in a bone
 Limit = Annotated[float, Field(allow_inf_nan=False, ge=-1e3, le=1e3)]
@@ -67,6 +73,7 @@ def _known(limits: str, unit: str, *needs: str, side: bool = True) -> KnownCheck
 CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
     {
         "entry and end": _known("", "mm", "head", HEAD_CENTRE),
+        "entry from lateral": _known("", "mm", EPICONDYLE, side=False),
         "side": _known("", "mm", "head", HEAD_CENTRE),
         "head to entry": _known("low", "mm", "head", HEAD_CENTRE),
         "tip in head": _known("", "mm", "head"),

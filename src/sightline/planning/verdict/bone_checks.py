@@ -12,7 +12,15 @@ from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.directions import ANTERIOR, MEDIAL, caudal, lies
 from sightline.planning.bone.metrics import Metric, metric, metric_of_wires, tip_depth
 from sightline.planning.points.results import Verdict
-from sightline.planning.procedures.document import CHECKS, HEAD_CENTRE, LANDMARKS, LESSER, PROMONTORY, CheckRule
+from sightline.planning.procedures.document import (
+    CHECKS,
+    EPICONDYLE,
+    HEAD_CENTRE,
+    LANDMARKS,
+    LESSER,
+    PROMONTORY,
+    CheckRule,
+)
 
 _LATERAL = -MEDIAL
 _OF_HEAD = {"entry and end", "tip in head"}  # checks that ask for the head, for all that need it
@@ -390,6 +398,19 @@ def _above_lesser(lesser: np.ndarray, side: str, low: float) -> Measure:
     )
 
 
+def _from_lateral(epicondyle: np.ndarray) -> Measure:
+    return Measure(
+        "entry from lateral",
+        lambda entry, end: _distance(end, epicondyle) - _distance(entry, epicondyle),
+        0.0,
+        np.inf,
+        "mm",
+        "The entry point lies {} the lateral epicondyle than the end point",
+        "entry and end are exchanged, or the epicondyle is another point: exchange them, or pick it again",
+        ("nearer to", "farther from"),
+    )
+
+
 def _past_promontory(promontory: np.ndarray, low: float) -> Measure:
     def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
         return ((end - promontory) * (end - entry)).sum(axis=-1) / _distance(entry, end)
@@ -524,6 +545,9 @@ MEASURES: dict[str, _Make] = {
         [_above_lesser(bone.landmarks_mm[LESSER], bone.side, rule.range[0])]
         if bone.side is not None and LESSER in bone.landmarks_mm
         else []
+    ),
+    "entry from lateral": lambda bone, rule: (
+        [_from_lateral(bone.landmarks_mm[EPICONDYLE])] if EPICONDYLE in bone.landmarks_mm else []
     ),
     "tip past promontory": lambda bone, rule: (
         [_past_promontory(bone.landmarks_mm[PROMONTORY], rule.range[0])] if PROMONTORY in bone.landmarks_mm else []
