@@ -8,8 +8,8 @@ import pytest
 from tests.cli.picked import VIEWS, marks_of, picks_file, screws_file, wire
 
 from sightline.case.journal import Case, Kind
+from sightline.common.geometry.lines import unit
 from sightline.imaging import write_dicom
-from sightline.planning.bone.directions import unit
 from sightline.twin import HipScene, hip_scene, render
 from sightline.twin.objects.things import guide_wire
 

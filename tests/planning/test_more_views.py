@@ -112,7 +112,7 @@ def test_the_nearest_point_of_three_lines():
     lines = [view.lines_of_sight(one) for view, one in zip(VIEWS, uv, strict=True)]
     expected = meeting_point([one.focal_point_mm for one in lines], np.concatenate([one.directions for one in lines]))
     # Gauss-Newton with the distances' weights held: off by the residuals, 0.5 mm, times their share of the distance.
-    np.testing.assert_allclose(reconstruct(VIEWS, uv, method="nearest").xyz_mm[0], expected.point_mm, atol=2e-3)
+    np.testing.assert_allclose(reconstruct(VIEWS, uv, method="nearest").xyz_mm[0], expected, atol=2e-3)
 
 
 def test_views_of_one_direction_need_a_third_from_another():

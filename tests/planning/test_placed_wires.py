@@ -8,9 +8,9 @@ import pytest
 
 from sightline.case.canonical import plain
 from sightline.case.contents import PlanRequest
+from sightline.common.geometry.lines import unit
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError
 from sightline.planning import Axis, PlacedWire, WireLines, WirePicks, WirePlans, plan_wires
-from sightline.planning.bone.directions import unit
 from sightline.planning.check.wires import placed_wires
 from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.verdict.relations import spacing_mm

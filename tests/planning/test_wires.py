@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sightline.common.checks import failed
+from sightline.common.geometry.lines import across, unit
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.planning import (
     Axis,
@@ -21,7 +22,7 @@ from sightline.planning import (
     propose_others,
     reconstruct,
 )
-from sightline.planning.bone.directions import ANTERIOR, across, caudal, unit
+from sightline.planning.bone.directions import ANTERIOR, caudal
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.procedure import copy_text, document_from_json

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.common.checks import Check, Limits
+from sightline.common.geometry.lines import unit
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.planning.bone.directions import unit
 from sightline.rehearsal.operation import calibrated_robot
 from sightline.robot.kinematics.target import (
     LIFETIME_S,

@@ -23,6 +23,7 @@ from sightline.calibration.view import PlaneMap
 from sightline.common.checks import Check
 from sightline.common.fitting import MAD_TO_SD, MEDIAN_SD, median
 from sightline.common.geometry.covariance import TWO_SIDED_999, response
+from sightline.common.geometry.lines import unit
 from sightline.common.geometry.planes import Plane
 from sightline.errors import UnusableInputError
 from sightline.frame import Fiducial
@@ -222,8 +223,7 @@ def _over_beads(fit: JointFit, middle_px: np.ndarray) -> tuple[float, float]:
     """
     plane, focal = fit.beads.plane, fit.pencil.focal_point_mm
     uv = np.concatenate([middle_px[None], fit.beads.uv_px])
-    rays = plane.to_space(fit.map.to_plane(uv)) - focal
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = unit(plane.to_space(fit.map.to_plane(uv)) - focal)
     local = np.sqrt((rays @ rays[0]) ** 3 / pixel_solid_angle(fit.map, plane, focal, uv))
     return float(local.min()), float(local.max())
 

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from sightline.common.checks import Check
+from sightline.common.geometry.lines import unit
 from sightline.common.geometry.planes import Plane
 from sightline.errors import CalibrationRefusedError
 
@@ -202,8 +203,7 @@ class LinesOfSight:
     @cached_property
     def directions(self) -> np.ndarray:
         """(N, 3) unit vectors from the focal point to the points on the plane."""
-        d = self.points_mm - self.focal_point_mm
-        return d / np.linalg.norm(d, axis=-1, keepdims=True)
+        return unit(self.points_mm - self.focal_point_mm)
 
     def sources_shared_with(self, other: "LinesOfSight") -> list[str]:
         """Return the sources whose errors are the same in both views."""

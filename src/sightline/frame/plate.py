@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from sightline.common.geometry.lines import unit
 from sightline.common.geometry.planes import Plane
 
 Shape = Literal["ball", "washer"]
@@ -91,8 +92,7 @@ class FrameView:
     @property
     def axis(self) -> np.ndarray:
         """The unit vector (3,) of the nominal beam from source to intensifier, through the plates' centroids."""
-        along = self.xrii.xyz_mm.mean(axis=0) - self.source.xyz_mm.mean(axis=0)
-        return along / np.linalg.norm(along)
+        return unit(self.xrii.xyz_mm.mean(axis=0) - self.source.xyz_mm.mean(axis=0))
 
     @property
     def nominal_focal_point_mm(self) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
-from sightline.common.geometry.lines import nearest_approach
+from sightline.common.geometry.lines import nearest_approach, unit
 from sightline.detection.bone_edges import (
     REACH_PX,
     UNEVEN,
@@ -193,8 +193,7 @@ def _direction(lines: Sequence[LinesOfSight]) -> np.ndarray:
     for seen in lines:
         way = np.linalg.svd(seen.xy_mm - seen.xy_mm.mean(axis=0))[2][0]
         ways.append(way * np.sign(way @ (seen.xy_mm[-1] - seen.xy_mm[0])))
-    both = ways[0] + ways[1]
-    return both / np.linalg.norm(both)
+    return unit(ways[0] + ways[1])
 
 
 def _common_part(lines: Sequence[LinesOfSight], along: np.ndarray) -> tuple[float, float]:

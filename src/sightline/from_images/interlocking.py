@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from sightline.calibration import CalibratedView
 from sightline.calibration.bead_view import bead_shadows_px
-from sightline.common.geometry.lines import nearest_approach
+from sightline.common.geometry.lines import nearest_approach, unit
 from sightline.common.threads import one_blas_thread
 from sightline.detection.metal_edges import MetalEdge, MetalTube, agreement, find_outline, find_rims
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.imaging import Radiograph
 from sightline.planning import Hole, HoleSeen, Nail, WirePicks, WirePlans, fit_hole, plan_wires
-from sightline.planning.bone.directions import caudal, towards, unit
+from sightline.planning.bone.directions import caudal, towards
 from sightline.planning.nail.expected import (
     GRID_PX,
     LocalCamera,

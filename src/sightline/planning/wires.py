@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check
+from sightline.common.geometry.lines import across, unit
 from sightline.common.show import Shown, checks_lines
 from sightline.common.threads import one_blas_thread
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.planning.bone.aids import Aids
 from sightline.planning.bone.anatomy import Anatomy, locate
-from sightline.planning.bone.directions import MEDIAL, across, caudal, towards, unit
+from sightline.planning.bone.directions import MEDIAL, caudal, towards
 from sightline.planning.bone.drawings import Axis
 from sightline.planning.bone.metrics import metric
 from sightline.planning.check.result import CheckShot

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from sightline.common.geometry.lines import across, angle_rad, unit
 from sightline.frame import Frame
 from sightline.planning import Plan
 from sightline.planning.verdict.relations import refuse_unrelated
@@ -106,12 +107,8 @@ class InsertionOutcome:
     def of(wire_mm: np.ndarray, ideal_mm: np.ndarray) -> "InsertionOutcome":
         """Compare two points (2, 3) of the wire, its mouth or entry and its tip, with entry and end (2, 3)."""
         (start, tip), (entry, end) = wire_mm, ideal_mm
-        along, ideal = (v / np.linalg.norm(v) for v in (tip - start, end - entry))
-        off = entry - start
-        angle = np.arctan2(np.linalg.norm(np.cross(along, ideal)), along @ ideal)
-        return InsertionOutcome(
-            float(np.linalg.norm(off - (off @ along) * along)), float(np.linalg.norm(tip - end)), float(angle)
-        )
+        beside, angle = across(entry - start, unit(tip - start)), angle_rad(tip - start, end - entry)
+        return InsertionOutcome(float(np.linalg.norm(beside)), float(np.linalg.norm(tip - end)), float(angle))
 
 
 @dataclass(frozen=True, eq=False)

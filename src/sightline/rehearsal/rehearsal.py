@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.case.views import NAMES as VIEWS
 from sightline.case.views import OBLIQUE
+from sightline.common.geometry.lines import unit
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
@@ -111,7 +112,7 @@ class Rehearsal(RehearsedPatient):
     def surface_mm(self, key: str) -> np.ndarray:
         """Return the point (3,), CFCS, at which the ideal wire of this key would leave the femoral head."""
         entry, end = self.ideal_mm[key]
-        along, off = (end - entry) / np.linalg.norm(end - entry), end - self.hip.head_mm
+        along, off = unit(end - entry), end - self.hip.head_mm
         past = off @ along
         return end + along * (np.sqrt(past**2 + self.hip.femur.head_radius_mm**2 - off @ off) - past)
 

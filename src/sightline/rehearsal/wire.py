@@ -12,6 +12,7 @@ from sightline.case.views import NAMES, calibrate_pair, see_pair
 from sightline.common.atomic import scratch_folder
 from sightline.common.checks import failed
 from sightline.common.geometry.covariance import TWO_SIDED_95
+from sightline.common.geometry.lines import unit
 from sightline.errors import RefusedError, RobotRefusedError
 from sightline.from_images.pipeline import propose_order
 from sightline.imaging import Radiograph, write_dicom
@@ -208,7 +209,7 @@ def deviations(planned: DemoPlan, wire_mm: np.ndarray) -> tuple[Deviation, ...]:
     ]
     if planned.asked.nail is None:
         lines.append(("the picked points, as in the check shot", planned.rehearsal.picked_mm(planned.plan)))
-    along = (wire_mm[1] - wire_mm[0]) / np.linalg.norm(wire_mm[1] - wire_mm[0])
+    along = unit(wire_mm[1] - wire_mm[0])
     off_lines = []
     for name, line_mm in lines:
         ends_mm = wire_mm

@@ -17,6 +17,7 @@ from sightline.calibration import CalibratedView
 from sightline.common.bounded import MAX_TEXT_BYTES, read_csv
 from sightline.common.checks import Check
 from sightline.common.geometry.covariance import length_quantile
+from sightline.common.geometry.lines import angle_rad
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, UnusableInputError
 from sightline.planning import SpacePoints, reconstruct
@@ -173,11 +174,10 @@ class Assessment:
         seen = self.points.xyz_mm[second] - self.points.xyz_mm[first]
         true = self.truth.xyz_mm[second] - self.truth.xyz_mm[first]
         distance = np.abs(np.linalg.norm(seen, axis=1) - np.linalg.norm(true, axis=1))
-        angle = np.arctan2(np.linalg.norm(np.cross(seen, true), axis=1), np.einsum("ia,ia->i", seen, true))
         return (
             position,
             Statistics.of("distance between two points", "mm", distance),
-            Statistics.of("angle of the line through two points", "°", np.rad2deg(angle)),
+            Statistics.of("angle of the line through two points", "°", np.rad2deg(angle_rad(seen, true))),
         )
 
     @property

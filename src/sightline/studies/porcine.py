@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sightline.common.checks import failed
+from sightline.common.geometry.lines import angle_rad
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning import kind, plan
@@ -76,15 +77,13 @@ def _planned(phantom: str, rng: np.random.Generator) -> Values:
     except SightlineError as error:
         return {"ended": "refused", "why": type(error).__name__}
     path, wire = made.trajectory, hip.wire_mm
-    along = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
-    angle = np.arctan2(np.linalg.norm(np.cross(path.direction, along)), path.direction @ along)
     return {
         "ended": "GO" if made.verdict.go else "NO-GO",
         "why": ", ".join(sorted({check.name for check in failed(made.verdict.checks)})),
         "beads": [int(view.residuals.used.sum()) for view in views],
         "error_mm": np.linalg.norm(path.points.xyz_mm - wire, axis=1).round(6).tolist(),
         "stated_mm": np.sqrt(np.trace(path.points.covariance_mm2, axis1=1, axis2=2)).round(6).tolist(),
-        "direction_deg": float(np.rad2deg(angle)),
+        "direction_deg": float(np.rad2deg(angle_rad(path.direction, wire[1] - wire[0]))),
     }
 
 

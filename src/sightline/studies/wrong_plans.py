@@ -16,10 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import failed
+from sightline.common.geometry.lines import across, unit
 from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Aids, MatchingCurve, Plan, Procedure, kind, plan
-from sightline.planning.bone.directions import across, anatomical, unit
+from sightline.planning.bone.directions import anatomical
 from sightline.planning.procedures.document import WantedView
 from sightline.planning.procedures.procedure import ProcedureKey
 from sightline.planning.verdict.bone_checks import AT_CORTEX

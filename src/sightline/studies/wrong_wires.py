@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from sightline.common.geometry.covariance import TWO_SIDED_95, response
+from sightline.common.geometry.lines import across, unit
 from sightline.errors import SetUpError
 from sightline.planning import Anatomy, Plan
-from sightline.planning.bone.directions import across, unit
 from sightline.planning.bone.metrics import metric
 from sightline.planning.procedures.document import CHECKS, CheckRule
 from sightline.planning.verdict.bone_checks import MEASURES, measures

@@ -286,7 +286,7 @@ def focal_point(from_mm: np.ndarray, to_mm: np.ndarray) -> np.ndarray:
             "needed, 16 or more are good): move the frame so that the plates' images overlap"
         )
     try:
-        return meeting_point(from_mm, to_mm - from_mm).point_mm
+        return meeting_point(from_mm, to_mm - from_mm)
     except ReconstructionRefusedError as refused:
         raise CalibrationRefusedError(f"no focal point: {refused}") from refused
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.interop.plan_file import PlanFile
+from sightline.common.geometry.lines import unit
 from sightline.errors import UnusableInputError
 from sightline.robot import contract
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
@@ -45,10 +46,8 @@ def T_cfcs_wire(points_mm: np.ndarray) -> np.ndarray:
 
     The rotation about z is arbitrary: x is perpendicular to the CFCS axis at the largest angle to the wire.
     """
-    along = (points_mm[1] - points_mm[0]) / np.linalg.norm(points_mm[1] - points_mm[0])
-    helper = np.eye(3)[np.argmin(np.abs(along))]
-    across = np.cross(helper, along)
-    across /= np.linalg.norm(across)
+    along = unit(points_mm[1] - points_mm[0])
+    across = unit(np.cross(np.eye(3)[np.argmin(np.abs(along))], along))
     pose = np.eye(4)
     pose[:3] = np.column_stack([across, np.cross(along, across), along, points_mm[1]])
     return pose

@@ -14,6 +14,7 @@ from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.interop.formats import T_cfcs_wire, T_lps_cfcs, transform_bytes
 from sightline.case.interop.plan_file import PlanFile
+from sightline.common.geometry.lines import unit
 
 _RAS_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _SLICES = ("Red", "Yellow", "Green")
@@ -114,7 +115,7 @@ def _slice(root: Element, layout: str, volume: str, pinhole: Pinhole, to_lps: np
     height, width = pinhole.stated_shape()
     middle = corner + 0.5 * (width - 1) * steps[0] + 0.5 * (height - 1) * steps[1]
     placed = np.eye(4)
-    across, up = (axis / np.linalg.norm(axis) for axis in (steps[0], -steps[1]))
+    across, up = (unit(axis) for axis in (steps[0], -steps[1]))
     placed[:3] = np.column_stack([across, up, np.cross(across, up), middle])
     matrix = _RAS_LPS @ to_lps @ placed
     laid = {"orientation": "Reformat", "sliceToRAS": " ".join(repr(float(x) + 0.0) for x in matrix.ravel())}

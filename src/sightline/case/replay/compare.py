@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from sightline.common.checks import FALSE_ALARM
+from sightline.common.geometry.lines import angle_rad
 
 # Tolerances for other versions and machines, by the end of a number's key. They are those of the tests' golden data,
 # but twice as large for mm, since here a view is computed from its image; the last two are for all others [ours].
@@ -105,8 +106,7 @@ def _points(then: dict[str, Any], now: dict[str, Any]) -> str:
         if key.endswith("_mm")
     }
     if "direction" in then:
-        before, other = then["direction"], now["direction"]
-        angle = np.arctan2(np.linalg.norm(np.cross(before, other)), np.dot(before, other))
+        angle = angle_rad(*(np.array(each["direction"]) for each in (then, now)))
         changes["direction"] = float(np.rad2deg(angle)), stated["direction_deg"], "°"
     name = max(changes, key=lambda key: changes[key][0] / changes[key][1])
     change, bound, unit = changes[name]

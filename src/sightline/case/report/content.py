@@ -14,6 +14,7 @@ from sightline.case.report.drilled import Drilled
 from sightline.case.stages import acquired_of, frame_of
 from sightline.case.views import CalibratedImage, ObservedView, spoken
 from sightline.common.checks import Check
+from sightline.common.geometry.lines import angle_rad
 from sightline.errors import CaseError, UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
@@ -51,10 +52,7 @@ class Compared:
     @property
     def direction_error_rad(self) -> float:
         """The angle between the planned and the true direction."""
-        true = self.truth.xyz_mm[1] - self.truth.xyz_mm[0]
-        true = true / np.linalg.norm(true)
-        across = np.linalg.norm(np.cross(true, self.trajectory.direction))
-        return float(np.arctan2(across, true @ self.trajectory.direction))
+        return float(angle_rad(self.truth.xyz_mm[1] - self.truth.xyz_mm[0], self.trajectory.direction))
 
     @property
     def errors(self) -> tuple[float, float, float]:

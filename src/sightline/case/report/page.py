@@ -19,6 +19,7 @@ from sightline.case.report.content import Report, report_of_plan
 from sightline.case.report.tables import POINTS, bars, budget_rows
 from sightline.case.views import CalibratedImage
 from sightline.common.atomic import write_whole
+from sightline.common.geometry.lines import unit
 from sightline.errors import UnusableInputError
 from sightline.imaging import Radiograph
 from sightline.planning import Pick, Plan
@@ -247,7 +248,7 @@ def _near(report: Report) -> Iterable[scene.Shape]:
         focal, k = image.view.focal_point_mm, report.images.index(image)
         shown = [np.isfinite(picks[k].uv_px).all() for picks in report.plan.picks]
         for on_plate, point in zip(_lines(report, image), report.plan.trajectory.points.xyz_mm[shown], strict=True):
-            along = (on_plate - focal) / np.linalg.norm(on_plate - focal)
+            along = unit(on_plate - focal)
             nearest = focal + ((point - focal) @ along) * along
             yield scene.line(
                 nearest - BEYOND_MM * along,

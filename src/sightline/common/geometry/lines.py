@@ -1,4 +1,4 @@
-"""Intersections and closest approaches of lines."""
+"""Directions; intersections and closest approaches of lines."""
 
 from dataclasses import dataclass
 
@@ -8,15 +8,6 @@ from sightline.errors import ReconstructionRefusedError
 
 PARALLEL_RAD = np.radians(1.0)  # [ours] at 1°, a distance of 0.1 mm shifts the point along the lines by 6 mm
 SPREAD_RAD = 1e-3  # [ours] rms spread of a bundle; the lines through two plates spread by 50 mrad and more
-
-
-@dataclass(frozen=True, eq=False)
-class MeetingPoint:
-    """Intersection of lines: `point_mm` (3,), its `covariance_mm2` (3, 3), each line's `distance_mm` (N,) to it."""
-
-    point_mm: np.ndarray
-    covariance_mm2: np.ndarray
-    distance_mm: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,32 +24,35 @@ class NearestApproach:
         return (self.first_mm + self.second_mm) / 2
 
 
-def meeting_point(
-    origin_mm: np.ndarray, direction: np.ndarray, sd_mm: float | np.ndarray | None = None
-) -> MeetingPoint:
-    """Return the point with the smallest sum of squared distances from N lines through (N, 3) along (N, 3).
+def meeting_point(origin_mm: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return the point (3,) with the smallest sum of squared distances from N lines through (N, 3) along (N, 3).
 
-    `sd_mm`, () or (N,): each line's s.d. perpendicular to it, per axis; it determines weights and covariance. Without
-    it, weights are equal and the covariance comes from the residuals, with 2N - 3 degrees of freedom.
     Raises ReconstructionRefusedError for fewer than two lines and for nearly parallel lines.
     """
-    origin, unit = np.asarray(origin_mm, dtype=np.float64), _unit(direction)
-    weight = np.broadcast_to(1.0 if sd_mm is None else 1 / np.square(sd_mm), len(origin))
+    origin, way = np.asarray(origin_mm, dtype=np.float64), _directed(direction)
     if len(origin) < 2:
         raise ReconstructionRefusedError("one line has no intersection; give at least two")
-    weighted = weight[:, None] * unit
-    normal = weight.sum() * np.eye(3) - weighted.T @ unit  # the sum of the projections across the lines
-    if np.linalg.eigvalsh(normal)[0] < weight.sum() * SPREAD_RAD**2:
+    normal = len(origin) * np.eye(3) - way.T @ way  # the sum of the projections across the lines
+    if np.linalg.eigvalsh(normal)[0] < len(origin) * SPREAD_RAD**2:
         raise ReconstructionRefusedError(
             "the lines are nearly parallel and determine no intersection; use beads further apart"
         )
-    along = (unit * origin).sum(axis=1)
-    point = np.linalg.solve(normal, weight @ origin - along @ weighted)
-    off = point - origin
-    off -= (unit * off).sum(axis=1, keepdims=True) * unit
-    distance = np.sqrt((off**2).sum(axis=1))
-    scatter = 1.0 if sd_mm is not None else (distance**2).sum() / (2 * len(origin) - 3)
-    return MeetingPoint(point, scatter * np.linalg.inv(normal), distance)
+    return np.linalg.solve(normal, (origin - (way * origin).sum(axis=1, keepdims=True) * way).sum(axis=0))
+
+
+def unit(vector: np.ndarray) -> np.ndarray:
+    """Return vectors (..., n) scaled to unit length."""
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+
+
+def across(vector: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Return the components of vectors (..., 3) perpendicular to unit vectors `along` (..., 3)."""
+    return vector - (vector * along).sum(axis=-1, keepdims=True) * along
+
+
+def angle_rad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles (...) between vectors (..., 3), also exact where they are small."""
+    return np.arctan2(np.linalg.norm(np.cross(first, second), axis=-1), (first * second).sum(axis=-1))
 
 
 def cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -74,7 +68,7 @@ def nearest_approach(
 
     Raises ReconstructionRefusedError where two lines are nearly parallel.
     """
-    a, b = _unit(direction1), _unit(direction2)
+    a, b = _directed(direction1), _directed(direction2)
     common = cross(a, b)
     sine2 = (common**2).sum(axis=-1)
     if (sine2 < np.sin(PARALLEL_RAD) ** 2).any():
@@ -89,7 +83,7 @@ def nearest_approach(
     return NearestApproach(first, second, np.linalg.norm(second - first, axis=-1))
 
 
-def _unit(direction: np.ndarray) -> np.ndarray:
+def _directed(direction: np.ndarray) -> np.ndarray:
     direction = np.asarray(direction, dtype=np.float64)
     length = np.sqrt((direction * direction).sum(axis=-1, keepdims=True))  # as np.linalg.norm, in a third of the time
     if not (length > 0).all():

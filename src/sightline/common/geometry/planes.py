@@ -5,6 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
+from sightline.common.geometry.lines import across as _across
+from sightline.common.geometry.lines import unit
 from sightline.errors import OutsideRegionError, UnusableInputError
 
 # Where the choice of axes changes (see `Plane.fit`), sine of 6° and cosine of 26° [ours]: far from frames' plates,
@@ -47,13 +49,10 @@ class Plane:
     @staticmethod
     def across(normal: np.ndarray, origin_mm: np.ndarray) -> "Plane":
         """Return the plane through `origin_mm` with a normal (3,) of either sign and the axes that `fit` chooses."""
-        normal = np.asarray(normal, dtype=np.float64)
-        normal = normal / np.linalg.norm(normal)
+        normal = unit(np.asarray(normal, dtype=np.float64))
         leading = next((normal[axis] for axis in (2, 0) if abs(normal[axis]) > _LEVEL), normal[1])
         normal = normal * np.sign(leading)
-        along = np.eye(3)[1 if abs(normal[0]) > _ALONG_X else 0]
-        axis0 = along - (along @ normal) * normal
-        axis0 /= np.linalg.norm(axis0)
+        axis0 = unit(_across(np.eye(3)[1 if abs(normal[0]) > _ALONG_X else 0], normal))
         return Plane(np.asarray(origin_mm), np.stack([axis0, np.cross(normal, axis0)]))
 
     @cached_property

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from sightline.common.atomic import write_whole
+from sightline.common.geometry.lines import unit
 from sightline.frame.drawings.part import Part, faces_of
 from sightline.frame.model import Frame
 from sightline.frame.plate import ROLES, Fiducial, Plate
@@ -71,9 +72,8 @@ def _draw_face(axes: Axes, face: Part) -> None:
 
 def _draw_whole(axes: Axes, faces: Sequence[Part]) -> None:
     """Draw the solid in parallel projection, the balls of the three faces in front filled."""
-    towards = _TOWARDS / np.linalg.norm(_TOWARDS)
-    right = np.cross([0.0, 0.0, 1.0], towards)
-    right /= np.linalg.norm(right)
+    towards = unit(_TOWARDS)
+    right = unit(np.cross([0.0, 0.0, 1.0], towards))
     onto = np.array([right, np.cross(towards, right)]).T
     for face in sorted(faces, key=lambda part: part.axes[2] @ towards):
         before = bool(face.axes[2] @ towards > 0)

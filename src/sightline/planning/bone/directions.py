@@ -10,16 +10,6 @@ MEDIAL = np.array([-1.0, 0.0, 0.0])
 _MIN_COSINE = 0.3
 
 
-def unit(vector: np.ndarray) -> np.ndarray:
-    """Return vectors (..., 3) scaled to unit length."""
-    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
-
-
-def across(vector: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Return the components of vectors (..., 3) perpendicular to unit vectors `along` (..., 3)."""
-    return vector - (vector * along).sum(axis=-1, keepdims=True) * along
-
-
 def anatomical(orbit_deg: float, tilt_deg: float) -> np.ndarray:
     """Return the unit vector (3,) of a direction: lateral, caudal, anterior.
 

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.common.geometry.covariance import line_direction, response
-from sightline.common.geometry.lines import NearestApproach, nearest_approach
+from sightline.common.geometry.lines import NearestApproach, across, nearest_approach, unit
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning.bone.directions import across, unit
 from sightline.planning.points.lines_of_sight import Sights
 from sightline.planning.points.trajectory import MIN_LENGTH_MM
 
@@ -46,8 +45,7 @@ class Axis:
     @property
     def direction(self) -> np.ndarray:
         """(3,) unit vector from the first end to the second."""
-        along = self.ends_mm[1] - self.ends_mm[0]
-        return along / np.linalg.norm(along)
+        return unit(self.ends_mm[1] - self.ends_mm[0])
 
     @property
     def direction_covariance_rad2(self) -> np.ndarray | None:

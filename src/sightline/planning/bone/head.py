@@ -14,10 +14,9 @@ from scipy.linalg import block_diag
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check
 from sightline.common.geometry.covariance import ellipsoid_factor, response
-from sightline.common.geometry.lines import nearest_approach
+from sightline.common.geometry.lines import across, nearest_approach, unit
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.aids import Circle
-from sightline.planning.bone.directions import across, unit
 from sightline.planning.points.gaps import CONFIDENCE
 from sightline.planning.points.lines_of_sight import CACHED, Sights
 

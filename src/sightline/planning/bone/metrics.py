@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.common.geometry.covariance import response
+from sightline.common.geometry.lines import across, angle_rad, unit
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.anatomy import Anatomy
-from sightline.planning.bone.directions import ANTERIOR, MEDIAL, across, caudal, towards, unit
+from sightline.planning.bone.directions import ANTERIOR, MEDIAL, caudal, towards
 from sightline.planning.bone.drawings import ENTRY_BORDERS, entry_to_oval, tip_in_tube, wire_in_oval, wire_in_tube
 
 # Beyond this distance from the head's centre, as a share of its radius, a line only grazes the head [ours].
@@ -280,7 +281,7 @@ _DEFINITIONS = (
     _Definition(
         "wire to shaft",
         ("wire", "shaft"),
-        lambda parts: _angle_deg(parts.wire, parts.shaft),
+        lambda parts: np.rad2deg(angle_rad(parts.wire, parts.shaft)),
         "°",
         "The wire makes an angle of {} with the shaft (measured like the neck-shaft angle).",
         _BY_DEFINITION,
@@ -288,7 +289,7 @@ _DEFINITIONS = (
     _Definition(
         "neck-shaft angle",
         ("neck", "shaft"),
-        lambda parts: _angle_deg(parts.neck, parts.shaft),
+        lambda parts: np.rad2deg(angle_rad(parts.neck, parts.shaft)),
         "°",
         "Neck and shaft enclose {}.",
         _BY_DEFINITION,
@@ -507,7 +508,7 @@ def _from_normal_deg(parts: _Parts, name: str) -> np.ndarray:
     normal = parts.plane(name)[1]
     off = across(parts.wire, normal)
     sine = np.linalg.norm(off, axis=-1, keepdims=True)
-    return off * _angle_deg(parts.wire, normal)[:, None] / np.maximum(sine, 1e-12)
+    return off * np.rad2deg(angle_rad(parts.wire, normal))[:, None] / np.maximum(sine, 1e-12)
 
 
 def _off_middle(parts: _Parts, name: str) -> np.ndarray:
@@ -525,7 +526,3 @@ def _apex(parts: _Parts) -> np.ndarray:
 def _seen(vector: np.ndarray, beam: np.ndarray) -> np.ndarray:
     """Return the length of a vector as a view shows it, corrected for magnification."""
     return np.linalg.norm(across(vector, beam), axis=-1)
-
-
-def _angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))

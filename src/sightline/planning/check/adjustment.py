@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.calibration.view import CalibratedView, LinesOfSight, Pencil
 from sightline.common.checks import Limits
 from sightline.common.geometry.covariance import joined
-from sightline.common.geometry.lines import nearest_approach
+from sightline.common.geometry.lines import nearest_approach, unit
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.planning.check.result import MAX_OUTLIER, MIN_LANDMARKS, CheckShot, checks
 from sightline.planning.check.wires import GUIDED_MM, STILL, Beforehand, KnownWire, Landmarks, WireSeen
@@ -77,8 +77,7 @@ def along_and_across(lines: LinesOfSight, xyz_mm: np.ndarray, tangent: np.ndarra
     """Return unit vectors (N, 2) along and across the image, on the plane, of a curve through points (N, 3) with
     tangents (N, 3)."""
     pencil = Pencil.through(lines.plane, lines.focal_point_mm)
-    along = np.einsum("nca,na->nc", pencil.by_point(xyz_mm), tangent)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    along = unit(np.einsum("nca,na->nc", pencil.by_point(xyz_mm), tangent))
     return along, np.stack([-along[:, 1], along[:, 0]], axis=-1)
 
 
@@ -407,8 +406,7 @@ def start_wire(
             "both views see the wire in one plane, which does not determine its place in space; take one of the images "
             "from another direction"
         )
-    direction /= np.linalg.norm(direction)
-    middle = movement.apply((trajectory.entry_mm + trajectory.end_mm) / 2)
+    direction, middle = unit(direction), movement.apply((trajectory.entry_mm + trajectory.end_mm) / 2)
     focal = [lines.focal_point_mm for lines in through]
     on = np.linalg.solve(
         np.stack([*normals, direction]), [normals[0] @ focal[0], normals[1] @ focal[1], direction @ middle]

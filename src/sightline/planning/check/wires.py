@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
+from sightline.common.geometry.lines import unit
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
-from sightline.planning.bone.directions import unit
 from sightline.planning.bone.drawings import Axis
 from sightline.planning.nail.result import Hole
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, PickArrays
@@ -291,8 +291,7 @@ class _Line:
         """Return the line's point beside a pixel (2,), with the variance `along_px2` along the line."""
         at = float((near_px - self.middle_px) @ self.along) / self.scale_px
         powers = np.polynomial.polynomial.polyvander(np.array([at]), _CURVE)[0]
-        tangent = self.along + self.curve.deriv()(at) / self.scale_px * self.normal
-        tangent /= np.linalg.norm(tangent)
+        tangent = unit(self.along + self.curve.deriv()(at) / self.scale_px * self.normal)
         beside = np.array([-tangent[1], tangent[0]])
         variance = float(np.sum((powers @ self.gain) ** 2))
         spread = variance * np.outer(beside, beside) + along_px2 * np.outer(tangent, tangent)

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.common.geometry.lines import nearest_approach
+from sightline.common.geometry.lines import across, nearest_approach, unit
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning.bone.directions import across, unit
 from sightline.planning.nail.result import HolePose, Nail
 
 _MIN_OPEN_PX = 2.0  # [ours] of the lens beside a point of its rim: in a narrower corner, blur joins both rims

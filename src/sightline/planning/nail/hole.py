@@ -19,9 +19,8 @@ from sightline.calibration.view import SOURCES, CalibratedView
 from sightline.common.checks import Check, failed
 from sightline.common.fitting import MAD_TO_SD
 from sightline.common.geometry.covariance import TWO_SIDED_999, ellipsoid_factor
-from sightline.common.geometry.lines import nearest_approach
+from sightline.common.geometry.lines import across, nearest_approach, unit
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.planning.bone.directions import across, unit
 from sightline.planning.nail.expected import LocalCamera, through_surface
 from sightline.planning.nail.result import Hole, HolePose, Nail
 from sightline.planning.points.gaps import CONFIDENCE

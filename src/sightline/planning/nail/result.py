@@ -9,9 +9,9 @@ import numpy as np
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check, failed
 from sightline.common.geometry.covariance import length_quantile
+from sightline.common.geometry.lines import across, unit
 from sightline.common.show import Shown, checks_lines, numbers
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.planning.bone.directions import across, unit
 from sightline.planning.bone.drawings import MIN_ANGLE_RAD, Axis
 from sightline.planning.points.results import SpacePoints, error_unknown
 

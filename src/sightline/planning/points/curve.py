@@ -11,7 +11,7 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.common.geometry.covariance import TWO_SIDED_95
-from sightline.common.geometry.lines import cross
+from sightline.common.geometry.lines import cross, unit
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.points.lines_of_sight import (
     LineResiduals,
@@ -91,8 +91,7 @@ def matching_curve(
             "to their middle"
         )
     depth, xyz = depth[seen], xyz[seen]
-    tangent = np.gradient(curve_px, depth, axis=0, edge_order=2)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    tangent = unit(np.gradient(curve_px, depth, axis=0, edge_order=2))
     pick = DEFAULT_PICK_SD_PX**2 * np.eye(2) if uv_covariance_px2 is None else np.asarray(uv_covariance_px2)
     refuse_two_frames((line, no_lines(to_view)))
     return MatchingCurve(
@@ -129,8 +128,7 @@ def snap(curve: MatchingCurve, uv_px: np.ndarray, sd_px: float = DEFAULT_PICK_SD
             f"the click is {distance[best]:.0f} px from the matching curve in view {curve.to_view!r} (at most "
             f"{MAX_SNAP_PX:.0f} px); click on the curve, or pick the point freely"
         )
-    tangent = (1.0 - share[best]) * curve.tangent_px[best] + share[best] * curve.tangent_px[best + 1]
-    tangent /= np.linalg.norm(tangent)
+    tangent = unit((1.0 - share[best]) * curve.tangent_px[best] + share[best] * curve.tangent_px[best + 1])
     return Pick(nearest[best], sd_px**2 * np.outer(tangent, tangent), _perpendicular(tangent))
 
 
@@ -234,8 +232,7 @@ def corridor(
     length = trajectory.length_mm
     along = np.linspace(0.0, length + beyond_mm, 2 + int((length + beyond_mm) / _STEP_MM))
     xyz = trajectory.entry_mm + along[:, None] * trajectory.direction
-    sideways = cross(trajectory.direction, xyz - view.focal_point_mm)
-    sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
+    sideways = unit(cross(trajectory.direction, xyz - view.focal_point_mm))
     uv, seen = view.project_seen(np.concatenate([xyz, xyz - sideways / 2, xyz + sideways / 2]))
     whole = seen.reshape(3, -1).all(axis=0)
     pixels = np.zeros((len(seen), 2))
@@ -246,8 +243,8 @@ def corridor(
             f"no part of the plan lies in the calibrated region of view {view.name!r}; move the frame so that its "
             "beads surround it"
         )
-    tangent = np.gradient(middle, along[whole], axis=0)
-    across = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1, keepdims=True)
+    tangent = unit(np.gradient(middle, along[whole], axis=0))
+    across = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     px_per_mm = np.abs(np.einsum("ij,ij->i", across, right - left))
     half_95 = None
     if trajectory.error_stated:

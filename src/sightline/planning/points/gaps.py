@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chndtrinc, gammaincc, ndtri
 
 from sightline.common.geometry.covariance import ellipsoid_factor
-from sightline.common.geometry.lines import cross
+from sightline.common.geometry.lines import cross, unit
 from sightline.planning.points.solution import Solution, inverse
 
 # Correct plans exceed a limit by chi-square once in a thousand [ours]. More often people would learn to ignore it; more
@@ -146,8 +146,7 @@ def _of_pairs(solution: Solution) -> list[tuple[np.ndarray, np.ndarray, np.ndarr
     reach = solution.by_point([np.repeat(r.reach[:, None], 2, axis=1) for r in solution.residuals])
     for i, j, directions, sine in solution.given.pairs:
         own = (sine >= 0.0) & (picks.seen.sum(axis=0) == 2)
-        common = cross(*directions[:, own])
-        common = common / np.linalg.norm(common, axis=1, keepdims=True)
+        common = unit(cross(*directions[:, own]))
         rows = np.zeros((len(common), reach.shape[1]))
         for k, sign in ((i, -1.0), (j, 1.0)):
             rows[:, 2 * k : 2 * k + 2] = sign * reach[own, 2 * k, None] * (common @ solution.lines[k].plane.axes.T)

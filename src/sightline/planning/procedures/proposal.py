@@ -8,9 +8,10 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.common.geometry.covariance import length_quantile, response
+from sightline.common.geometry.lines import across, unit
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.anatomy import Anatomy
-from sightline.planning.bone.directions import MEDIAL, across, caudal, towards, unit
+from sightline.planning.bone.directions import MEDIAL, caudal, towards
 from sightline.planning.bone.drawings import ENTRY, ENTRY_BORDERS, ENTRY_LATERAL, axis_of_oval, axis_of_tube
 
 # What is accepted of drawn bone, beyond all adults: elsewhere a drawing is wrong [ours]. Distances of the lateral

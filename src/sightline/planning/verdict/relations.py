@@ -11,8 +11,9 @@ import numpy as np
 
 from sightline.common.checks import Check, at_most
 from sightline.common.geometry.covariance import joined, length_quantile, response
+from sightline.common.geometry.lines import across, unit
 from sightline.errors import RobotRefusedError
-from sightline.planning.bone.directions import ANTERIOR, across, caudal, lies, unit
+from sightline.planning.bone.directions import ANTERIOR, caudal, lies
 from sightline.planning.bone.drawings import Axis
 from sightline.planning.points.results import SpacePoints, Verdict, error_unknown
 from sightline.planning.procedures.document import Relation

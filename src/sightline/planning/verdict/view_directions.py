@@ -13,9 +13,10 @@ import numpy as np
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check
 from sightline.common.geometry.covariance import TWO_SIDED_95, response
+from sightline.common.geometry.lines import across, unit
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.anatomy import Anatomy
-from sightline.planning.bone.directions import ANTERIOR, MEDIAL, across, anatomical, caudal, lies, unit
+from sightline.planning.bone.directions import ANTERIOR, MEDIAL, anatomical, caudal, lies
 from sightline.planning.bone.drawings import line_of_tube
 from sightline.planning.points.lines_of_sight import no_lines
 from sightline.planning.points.results import Verdict

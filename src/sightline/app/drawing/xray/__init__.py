@@ -17,6 +17,7 @@ from nicegui.events import GenericEventArguments
 from pydantic import Field, StrictBool, TypeAdapter, ValidationError
 
 from sightline.app.drawing.calls import Calling
+from sightline.common.geometry.lines import unit
 
 T = TypeVar("T")
 _COLOURS = Path(__file__).parents[1] / "colours.js"
@@ -97,8 +98,7 @@ class XrayPicture:
     def _sides(self) -> list[tuple[float, float, float]]:
         """For each side of the field (a, b, c): a u + b v + c is the distance (px) of (u, v) from it, inwards."""
         corners = np.array(self.field)
-        along = np.roll(corners, -1, axis=0) - corners  # clockwise on the screen
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        along = unit(np.roll(corners, -1, axis=0) - corners)  # clockwise on the screen
         offset = along[:, 1] * corners[:, 0] - along[:, 0] * corners[:, 1]
         return [(-dv, du, c) for (du, dv), c in zip(along.tolist(), offset.tolist(), strict=True)]
 
