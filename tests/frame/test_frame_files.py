@@ -218,6 +218,7 @@ def test_tolerances_or_a_covariance_but_not_both(document):
         (b'{"name": "x", "units": ', "not JSON"),
         (b"[]", "object"),
         (b"[" * 100_000, "not JSON"),
+        (b'{"name": ' + b"1" * 5_000 + b"}", "not JSON"),
         (b'{"name": "a", "name": "b"}', "'name' occurs twice"),
         (b'{"name": "a", "temperature_c": 1e999}', "temperature_c is not a finite number"),
     ],

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from sightline.errors import RefusedError, UnusableInputError
 
 _ERRORS_SHOWN = 3
+_SHOWN = 200  # characters of an error of the JSON
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -22,6 +23,19 @@ def read_strictly(
     `advice`: what to do about pydantic's kinds of errors, by their names.
     """
 
+    strict_json(text, refuse, advice["finite_number"].partition("; ")[2])
+    try:
+        return model.model_validate_json(text)
+    except ValidationError as error:
+        raise refuse(explain(error, advice)) from None
+
+
+def strict_json(text: bytes | str, refuse: type[UnusableInputError], otherwise: str) -> Any:
+    """Return the value of a JSON text without repeated keys, NaN and infinities. Raises `refuse` with sentences.
+
+    `otherwise`: what to do about what is no number.
+    """
+
     def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         if twice := sorted({key for key in keys if keys.count(key) > 1}):
@@ -29,15 +43,12 @@ def read_strictly(
         return dict(pairs)
 
     def no_constant(name: str) -> float:
-        raise refuse(f"{name} is not a number; {advice['finite_number'].partition('; ')[2]}")
+        raise refuse(f"{name} is not a number; {otherwise}")
 
     try:
-        json.loads(text, object_pairs_hook=without_repeats, parse_constant=no_constant)
-        return model.model_validate_json(text)
-    except ValidationError as error:
-        raise refuse(explain(error, advice)) from None
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise refuse(f"the file is not JSON: {error}") from None
+        return json.loads(text, object_pairs_hook=without_repeats, parse_constant=no_constant)
+    except (ValueError, RecursionError) as error:
+        raise refuse(f"the file is not JSON: {str(error)[:_SHOWN]}") from None
 
 
 @contextmanager

@@ -139,7 +139,7 @@ GOOD = {"matrix": [[5000.0, 0, 500, 310000], [0, 5000, 480, 290000], [0, 0, 1, 6
             "does not state the pixels",
         ),
         ("a.opencv.json", b'{"matrix": [[NaN,0,0,0],[0,1,0,0],[0,0,1,5]]}', "NaN"),
-        ("a.opencv.json", b'{"matrix": 1, "matrix": 2}', "a key twice"),
+        ("a.opencv.json", b'{"matrix": 1, "matrix": 2}', "'matrix' occurs twice"),
         ("a.opencv.json", b'{"matrix": [[1,0,0],[0,1,0],[0,0,1]]}', "3 x 4"),
         ("a.opencv.json", b'{"matrix": [["1","x",0,0],[0,1,0,0],[0,0,1,5]]}', "3 x 4"),
         ("a.opencv.json", b'{"matrix": [[1,0,0,0],[2,0,0,0],[0,0,1,620]]}', "no focal point"),

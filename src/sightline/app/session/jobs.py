@@ -3,19 +3,17 @@ messages for errors."""
 
 import asyncio
 import multiprocessing
-import os
-import threading
 import traceback
 from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
 import numpy as np
 
 from sightline.app import texts
+from sightline.common.closing import end_with_parent
 from sightline.errors import RefusedError, RobotRefusedError, SightlineError, UnusableInputError
 
 T = TypeVar("T")
@@ -139,19 +137,7 @@ class WorkerProcess:
     @staticmethod
     def _start() -> ProcessPoolExecutor:
         # Spawned, not forked: the page's process has threads.
-        return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
-
-
-def _end_with_parent() -> None:
-    """End this process when its parent is killed."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_wait_for, args=[parent.sentinel], name="parent", daemon=True).start()
-
-
-def _wait_for(sentinel: int) -> None:
-    wait([sentinel])
-    os._exit(1)
+        return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=end_with_parent)
 
 
 def warm_up() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sightline.common.bounded import MAX_TEXT_BYTES, read_bounded
+from sightline.common.strict import strict_json
 from sightline.errors import UnusableInputError
 
 MAX_NUMBER = 1e12  # [calc] focal lengths of 1e5 px times distances of 1e4 mm, and a scale of 1000
@@ -44,21 +45,7 @@ def json_value(data: bytes, depth: int = MAX_DEPTH) -> Any:
         level += 1 if bracket in "[{" else -1
         if level > depth:
             raise UnusableInputError("the JSON is nested too deeply to be a view or a plan")
-    try:
-        return json.loads(written, object_pairs_hook=_without_repeats, parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        raise UnusableInputError(f"the file is not JSON: {str(error)[:200]}") from None
-
-
-def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    entries = dict(pairs)
-    if len(entries) != len(pairs):
-        raise UnusableInputError("the JSON has a key twice; write each key once")
-    return entries
-
-
-def _no_constant(name: str) -> float:
-    raise UnusableInputError(f"the file contains {name}, which is not a valid number; export it again")
+    return strict_json(written, UnusableInputError, "export it again")
 
 
 def entry(document: dict[str, Any], key: str) -> Any:

@@ -11,14 +11,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import wait as wait_for_sentinels
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import sightline
+from sightline.common.closing import end_with_parent
 from sightline.errors import RefusedError, UnusableInputError
 from sightline.imaging.quiet import Quiet
 from sightline.studies.runs.study import Study, Summary, Values
@@ -128,14 +128,7 @@ def _start_all(pool: Executor, number: int) -> None:
 def _settle() -> None:
     """Make a worker process ignore Ctrl-C and end with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_with(sentinel: int) -> None:
-    wait_for_sentinels([sentinel])
-    os._exit(1)
+    end_with_parent()
 
 
 @contextmanager
