@@ -8,8 +8,8 @@ from benchmarks.scenes.nails import Sight, ends_of_outlines
 from sightline.calibration import CalibratedView, view_from_matrix
 from sightline.common.geometry.planes import Plane
 from sightline.imaging import Radiograph
-from sightline.twin.anatomy.nailed_femur import DistalNail, nail_scene
-from sightline.twin.objects.things import Scene
+from sightline.twin.anatomy.nailed_femur import CORTEX_MM, THIGH_MM, DistalNail
+from sightline.twin.objects.things import Rod, Scene, SoftTissue
 from sightline.twin.xray.distributions import beam_at
 from sightline.twin.xray.presets import FLAT_PANEL
 from sightline.twin.xray.render import DOSES, expose
@@ -36,7 +36,10 @@ def nail_images(nail: DistalNail, seed: int, more: Scene | None = None) -> NailI
     """Render a nail in a femur's shaft from 16 to 17° to either side; `more`: other things in the beam."""
     rng = np.random.default_rng(seed)
     truths = [_truth(f"view{k}", angle) for k, angle in enumerate(ORBITS_DEG)]
-    scene = nail_scene(nail) if more is None else nail_scene(nail) + more
+    (x, y, z), (a, b, c), (outer, inner) = nail.hole_mm.tolist(), nail.along.tolist(), CORTEX_MM
+    shaft = Rod((x, y, z), (a, b, c), outer, 150.0, inner, within="tissue", material="bone")
+    scene = Scene(solids=(shaft,), meshes=(nail.mesh(),), tissue=SoftTissue((x, z), THIGH_MM))
+    scene = scene if more is None else scene + more
     sights = [Sight(truth.focal_point_mm, truth.project) for truth in truths]
     return NailImages(
         nail,

@@ -79,23 +79,15 @@ def centre_squares(setup: SetUp, seen: Observations) -> np.ndarray:
     return mahalanobis2(seen.uv_px - shadow_centres_px(setup.views[seen.view], xyz, radius), seen.covariance_px2)
 
 
-def solid_bound(
-    setup: SetUp,
-    seen: dict[str, BoundData],
-    target_mm: np.ndarray,
-    *,
-    focal_length_mm: float = DISTANCE_SD_MM,
-    principal_point_mm: float | None = None,
-) -> np.ndarray:
+def solid_bound(setup: SetUp, seen: dict[str, BoundData], target_mm: np.ndarray) -> np.ndarray:
     """Return the lower bound (3, 3), mm², of the covariance of a target at `target_mm` (3,), CFCS.
 
-    `seen`: the data of each view, two or more. The priors are 1 s.d., of each coordinate of the principal point;
-    by default those of `calibrate_together` where the file states the source-detector distance. The twin draws 3 mm for
-    the focal length and 5 mm for the principal point (`Pose`).
+    `seen`: the data of each view, two or more. The priors of focal length and principal point are those of
+    `calibrate_together` where the file states the source-detector distance. The twin draws 3 mm for the focal length
+    and 5 mm for the principal point (`Pose`).
     """
-    usual = CENTRE_SD_MM if setup.frame.detector is None else PLATE_CENTRE_SD_MM
-    across = usual if principal_point_mm is None else principal_point_mm
-    prior = np.array([across, across, focal_length_mm])
+    across = CENTRE_SD_MM if setup.frame.detector is None else PLATE_CENTRE_SD_MM
+    prior = np.array([across, across, DISTANCE_SD_MM])
     linearised = _linearised if setup.frame.detector is None else _on_plate
     return target_bound([linearised(setup, name, data, target_mm, prior) for name, data in seen.items()])
 

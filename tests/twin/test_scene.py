@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import SetUpError, UnusableInputError
-from sightline.twin import draw_setup, shown_hip_scene, write_truth
+from sightline.twin import shown_hip_scene, write_truth
 from sightline.twin.anatomy.femur import (
     BOX_LOW_MM,
     LONG_HIGH_MM,
@@ -20,7 +20,6 @@ from sightline.twin.anatomy.femur import (
     voxelise,
 )
 from sightline.twin.scenes.hard import hard_scene, hard_views
-from sightline.twin.scenes.hip_scene import four_balls
 from sightline.twin.xray.presets import preset
 
 
@@ -108,15 +107,6 @@ def test_a_shown_hip_has_its_wire_in_both_fields_and_its_truth_in_a_file(frame, 
         assert np.allclose(one["beads_uv_px"][some], view.project(np.array(written["beads_mm"][some])))
     with pytest.raises(UnusableInputError):
         write_truth(tmp_path / "no" / "truth.json", setup, hip)
-
-
-def test_the_papers_object_has_four_balls_beside_the_frames(frame):
-    setup = draw_setup(np.random.default_rng(6), frame)
-    scene, xyz = four_balls(setup)
-    beads = sum(len(view.fiducials) for view in frame.views.values())
-    assert len(scene.solids) == beads + 4
-    for view in setup.views.values():
-        assert view.in_field(view.project(xyz)).all()
 
 
 @pytest.mark.slow

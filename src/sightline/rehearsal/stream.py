@@ -30,16 +30,16 @@ class Shot:
 
 
 class SimulatedFluoroscopy:
-    """An endless stream of images of one view: `still` ones in turn, and from BUMP_S on `moved` ones.
+    """An endless stream of images of the PA view: `still` ones in turn, and from BUMP_S on `moved` ones.
 
     `wire`: the ideal wire in the bone, without a stated error, since it is not planned. Raises SetUpError if no set-up
     shows the whole wire.
     """
 
-    def __init__(self, seed: int, frame: Frame, view: str = "pa") -> None:
+    def __init__(self, seed: int, frame: Frame) -> None:
         rng = np.random.default_rng(seed)
         setup, hip = shown_hip_scene(rng, frame)
-        truth = setup.views[view]
+        truth = setup.views["pa"]
         angle = rng.uniform(0.0, 2 * np.pi)
         bumped = shifted(truth, BUMP_MM * np.array([np.cos(angle), np.sin(angle)]) @ truth.detector.axes)
         self.still, self.moved = (

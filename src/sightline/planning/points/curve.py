@@ -221,13 +221,11 @@ def corridor(
     trajectory: Trajectory,
     wire_mm: float = WIRE_DIAMETER_MM,
     beyond_mm: float = 0.0,
-    robot_mm2: np.ndarray | None = None,
 ) -> Corridor:
     """Return the corridor of a trajectory, to `beyond_mm` past its end point; `wire_mm`: diameter of the wire.
 
-    `robot_mm2` (6, 6), CFCS, of (entry, end): added to the plan's own covariance. The error of the point at fraction s
-    of the length is (1 - s) times the entry's error plus s times the end's. Raises OutsideRegionError where no part of
-    the wire lies in the view's calibrated region.
+    The error of the point at fraction s of the length is (1 - s) times the entry's error plus s times the end's.
+    Raises OutsideRegionError where no part of the wire lies in the view's calibrated region.
     """
     length = trajectory.length_mm
     along = np.linspace(0.0, length + beyond_mm, 2 + int((length + beyond_mm) / _STEP_MM))
@@ -248,8 +246,9 @@ def corridor(
     px_per_mm = np.abs(np.einsum("ij,ij->i", across, right - left))
     half_95 = None
     if trajectory.error_stated:
-        covariance = trajectory.covariance_mm2 if robot_mm2 is None else trajectory.covariance_mm2 + robot_mm2
         share = (along / length)[whole, None]
         response = np.hstack([(1.0 - share) * sideways[whole], share * sideways[whole]])
-        half_95 = TWO_SIDED_95 * px_per_mm * np.sqrt(np.einsum("ip,pq,iq->i", response, covariance, response))
+        half_95 = (
+            TWO_SIDED_95 * px_per_mm * np.sqrt(np.einsum("ip,pq,iq->i", response, trajectory.covariance_mm2, response))
+        )
     return Corridor(along[whole], middle, across, px_per_mm, px_per_mm * wire_mm / 2, half_95)

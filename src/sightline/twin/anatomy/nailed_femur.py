@@ -12,7 +12,6 @@ from sightline.errors import SetUpError
 from sightline.twin.anatomy.bone_model import BoneModel, BonePart, TubeAid
 from sightline.twin.anatomy.shapes import cone, ellipsoid
 from sightline.twin.objects.meshes import Mesh
-from sightline.twin.objects.things import Rod, Scene, SoftTissue
 
 # Sizes [ours, typical].
 SPACING_MM = 28.0  # between both holes; makers have 25 to 30 mm
@@ -97,14 +96,6 @@ class DistalNail:
         vertices = np.concatenate([vertices for vertices, _ in parts])
         triangles = np.concatenate([faces + start for (_, faces), start in zip(parts, first, strict=False)])
         return Mesh(self.placed(vertices), triangles, self.material, "tissue")
-
-
-def nail_scene(nail: DistalNail) -> Scene:
-    """Return the nail in a straight femur's shaft and a thigh, without the frame."""
-    (x, y, z), (a, b, c) = nail.hole_mm.tolist(), nail.along.tolist()
-    outer, inner = CORTEX_MM
-    shaft = Rod((x, y, z), (a, b, c), outer, 150.0, inner, within="tissue", material="bone")
-    return Scene(solids=(shaft,), meshes=(nail.mesh(),), tissue=SoftTissue((x, z), THIGH_MM))
 
 
 def draw_nail(rng: np.random.Generator, at_mm: np.ndarray, beam: np.ndarray, *, off_beam: float = 0.1) -> DistalNail:

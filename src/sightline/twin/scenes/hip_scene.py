@@ -1,4 +1,4 @@
-"""Scenes for planning: a hip in or beside the frame, the paper's object of four balls; and their truth as JSON."""
+"""Scenes for planning: a hip in or beside the frame, and its truth as JSON."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -13,7 +13,7 @@ from sightline.common.atomic import write_whole
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.twin.anatomy.femur import BOX_HIGH_MM, LONG_HIGH_MM, Femur, draw_femur, to_cfcs, voxelise
-from sightline.twin.objects.things import Ball, Scene, SoftTissue, frame_scene, moved
+from sightline.twin.objects.things import Scene, SoftTissue, frame_scene, moved
 from sightline.twin.xray.distributions import HipPlace
 from sightline.twin.xray.setup import SetUp, ViewTruth, draw_setup
 
@@ -85,12 +85,9 @@ class HipScene:
         )
 
 
-def hip_scene(setup: SetUp, rng: np.random.Generator, femur: Femur | None = None) -> HipScene:
-    """Draw a hip at its place in or beside the set-up's true frame, centred on its wire as a radiographer would.
-
-    `femur` is drawn unless given.
-    """
-    femur = femur or draw_femur(rng)
+def hip_scene(setup: SetUp, rng: np.random.Generator) -> HipScene:
+    """Draw a hip at its place in or beside the set-up's true frame, centred on its wire as a radiographer would."""
+    femur = draw_femur(rng)
     return placed_hip(setup, femur, setup.hip_mm + draw_head(setup.side, femur, rng), rng)
 
 
@@ -146,14 +143,6 @@ def first_shown(
         if setup.shows(np.vstack([points, also]), HipPlace().margin_px):
             return setup, origin
     raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wires in all views of frame {name!r}")
-
-
-def four_balls(setup: SetUp) -> tuple[Scene, np.ndarray]:
-    """Return the paper's calibration object, four balls in the true frame without bone and tissue, and their centres
-    (4, 3), CFCS, mm."""
-    balls_mm = setup.hip_mm + TEST_BALLS_MM
-    balls = tuple(Ball((float(x), float(y), float(z)), TEST_BALL_RADIUS_MM) for x, y, z in balls_mm)
-    return frame_scene(setup.true_frame) + Scene(solids=balls), balls_mm
 
 
 def draw_head(side: str, femur: Femur, rng: np.random.Generator) -> np.ndarray:

@@ -233,13 +233,13 @@ def perspex_object(at_mm: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Scene, np.ndarra
     return Scene(solids=balls, boxes=(block,)), balls_mm
 
 
-def plastic_hip(setup: SetUp, femur: Femur | None = None) -> HipScene:
+def plastic_hip(setup: SetUp) -> HipScene:
     """Return the paper's trial: a bare plastic femur with a bore of 8 mm along its ideal wire, whose middle lies at the
     hip's place.
 
     The femur is a shell of glass-filled epoxy in place of the cortex, filled with foam.
     """
-    femur = replace(femur or Femur(), socket=False, cancellous_hu=FOAM_SHARE / BONE_PER_HU)
+    femur = Femur(socket=False, cancellous_hu=FOAM_SHARE / BONE_PER_HU)
     head = _centred(setup, femur)
     wire = to_cfcs(np.stack(femur.wire_mm()), setup.side, head)
     whole = replace(voxelise(femur, setup.side, head, None), material="composite", within=None)
