@@ -1,7 +1,5 @@
 """What labelling builds on: three datums tell plate, orientation and handedness."""
 
-from itertools import combinations
-
 import numpy as np
 import pytest
 
@@ -86,16 +84,6 @@ def test_resemblance_is_the_stretch_and_scale_of_the_map():
         shape = turn @ np.diag([scale * stretch**0.5, -scale * stretch**-0.5])
         far = resemblance(Triples.of(points @ shape.T + 5), Triples.of(points))
         assert far[0, 0, 0] == pytest.approx(expected / np.log(1.10), rel=1e-6)
-
-
-def test_an_isosceles_triple_resembles_itself_and_a_scalene_one_does_not():
-    assert nearest_likeness(np.array([[-2.0, 0.0], [2.0, 0.0], [0.0, 3.0]]))[0] == pytest.approx(0, abs=1e-6)
-    assert nearest_likeness(np.array([[0.0, 0.0], [6.0, 0.0], [1.0, 3.0]]))[0] > 1
-
-
-def test_triples_are_all_there():
-    points = np.random.default_rng(0).normal(size=(6, 2))
-    assert len(Triples.of(points).area) == len(list(combinations(range(6), 3)))
 
 
 def test_a_search_leaves_fewer_lookalikes_than_a_draw_and_repeats_itself():

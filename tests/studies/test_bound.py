@@ -96,17 +96,6 @@ def test_bound_is_the_inverse_of_the_explicit_information(setup, seen, explicit)
     np.testing.assert_allclose(bound(setup, seen, TARGET_MM), brute, rtol=1e-4, atol=1e-8)
 
 
-def test_what_is_known_lowers_the_bound(setup, seen):
-    def size(matrix: np.ndarray) -> float:
-        return float(np.sqrt(np.trace(matrix)))
-
-    whole = size(bound(setup, seen, TARGET_MM))
-    exact = replace(setup, frame=replace(setup.frame, tolerances=Tolerances(0, 0, 0, 0, 0)))
-    assert size(bound(exact, seen, TARGET_MM)) < 0.8 * whole
-    snapped = dict(seen) | {"lateral": replace(seen["lateral"], across_px=np.array([0.6, 0.8]))}
-    assert size(bound(setup, snapped, TARGET_MM)) > whole
-
-
 def test_snapped_bound_is_the_limit_of_a_huge_variance(setup, seen):
     across = np.array([0.6, 0.8])
     snapped = dict(seen) | {"lateral": replace(seen["lateral"], across_px=across)}

@@ -14,18 +14,6 @@ from sightline.twin.robot.drilling import Bone, Wire
 NAIL = DistalNail(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0]), np.array([0.6, 0.0, 0.8]))
 
 
-def _length_mm(nail: DistalNail, own_mm: np.ndarray, towards: np.ndarray) -> float:
-    """Length of material on a line through a place of the straight nail, by intersecting every triangle."""
-    mesh = nail.mesh()
-    origin = nail.placed(own_mm[None])[0] - 50.0 * towards
-    a, b, c = np.moveaxis(mesh.vertices_mm[mesh.triangles], 1, 0)
-    normal = np.cross(b - a, c - a)
-    reach = ((a - origin) * normal).sum(axis=1) / (normal @ towards + 1e-300)
-    hit = origin + reach[:, None] * towards
-    inside = np.all([(np.cross(q - p, hit - p) * normal).sum(axis=1) >= 0 for p, q in ((a, b), (b, c), (c, a))], axis=0)
-    return float((reach * np.sign(normal @ towards))[inside].sum())
-
-
 @pytest.mark.parametrize("bore_mm", [0.0, 4.0, 6.0])
 def test_volume_is_tube_less_holes(bore_mm):
     x, z = np.meshgrid(*2 * [(np.arange(1000) + 0.5) / 1000 * 5.0 - 2.5])
@@ -34,18 +22,6 @@ def test_volume_is_tube_less_holes(bore_mm):
     removed = 2 * 2 * walls[inside].sum() * 0.005**2
     tube = np.pi * (5.5**2 - (bore_mm / 2) ** 2) * (REACH_MM + SPACING_MM + TIP_MM)
     assert replace(NAIL, bore_mm=bore_mm).mesh().volume_mm3 == pytest.approx(tube - removed, rel=1e-3)  # 128 segments
-
-
-def test_a_ray_along_a_hole_meets_no_material():
-    nail = replace(NAIL, bend=0.03, bend_angle=1.0)
-    for s, (_, axis) in zip((0.0, SPACING_MM), nail.holes, strict=True):
-        own = np.array([0.3, 0.0, s + 0.17])  # not through a vertex or an edge of the mesh
-        assert _length_mm(nail, own, axis) == pytest.approx(0.0, abs=0.03)  # facets of the walls
-
-
-def test_a_ray_beside_the_holes_meets_both_walls():
-    wall = np.sqrt(5.5**2 - 0.3**2) - np.sqrt(2.5**2 - 0.3**2)
-    assert _length_mm(NAIL, np.array([0.3, 0.0, 11.1]), NAIL.axis) == pytest.approx(2 * wall, abs=0.01)
 
 
 def test_second_hole_follows_the_bend():

@@ -209,12 +209,6 @@ def test_a_no_go_plan_says_so_everywhere_and_no_robot_gets_it(no_go_plan: PlanFi
         igtl_files(no_go_plan, "case-7")
 
 
-def test_no_file_tells_the_images_names(go_plan: PlanFile, scenes) -> None:
-    files = scenes["left"] | itk_files(go_plan, "left") | csv_files(go_plan, "left")
-    for name, data in (files | igtl_files(go_plan, "c")).items():
-        assert b"alert" not in data and b".dcm" not in data, name
-
-
 # What plans of the earlier form lack.
 NEW = ("verdict", "missing", "kind", "side", "limits", "digest")
 
