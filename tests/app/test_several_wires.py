@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -11,14 +12,17 @@ import pytest
 from tests.app.given import mark
 from tests.planning.bone import views
 from tests.planning.test_wires import KEYS, WIRES_MM
+from tests.worked import Worked
 
 from sightline.app.drawing import shapes
 from sightline.app.plan.decisions import Decisions, Mark
 from sightline.app.plan.marks import END, ENTRY
 from sightline.app.plan.planner import plan_input, planned, wires_placed
+from sightline.app.session import rehearsing
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.jobs import Jobs
 from sightline.app.session.planning import Planning
+from sightline.app.session.rehearsing import Patient
 from sightline.app.session.sent import SentPlan, restored
 from sightline.app.tab.views import Views
 from sightline.case.journal import Actor, Case, Kind
@@ -166,6 +170,15 @@ def test_what_was_sent_and_drilled_is_restored_for_each_wire(planning: Any) -> N
     assert all(sent.holds_for(planning.now) for sent, _ in again.values())
     moved = planning.now.with_ends(KINDS[0], {})
     assert not again[KINDS[0]][0].holds_for(moved) and again[KINDS[2]][0].holds_for(moved)
+
+
+def test_images_of_the_newest_wire_show_the_others_too(worked: Worked, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rehearsing, "rehearsal_of", lambda _: worked.rehearsal)
+    drilled = [replace(worked.drilled, wire_mm=worked.drilled.wire_mm + k) for k in range(2)]
+    texts = {kind: one.text() for kind, one in zip(KINDS[:2], drilled, strict=True)}
+    rehearsal, newest, key, before_mm = rehearsing._in_bone(Patient(1), texts)
+    assert (rehearsal.procedure, newest.text(), key) == ("cannulated-hip-screws", drilled[1].text(), KEYS[1])
+    assert list(before_mm) == [KEYS[0]] and np.array_equal(before_mm[KEYS[0]], drilled[0].axis_mm)
 
 
 def test_over_a_check_image_stand_the_numbers_of_the_current_wire_alone(monkeypatch: pytest.MonkeyPatch) -> None:
