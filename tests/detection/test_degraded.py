@@ -87,6 +87,13 @@ def test_a_torn_image_is_refused_as_such(at: int, shift: int) -> None:
     assert said is not None and f"torn: from row {at} on it is shifted by {abs(shift)} columns" in said
 
 
+def test_a_tear_is_found_where_half_of_its_line_shows_little_structure() -> None:
+    smooth = cv2.GaussianBlur(CLEAN, (0, 0), 8) + np.random.default_rng(1).normal(0.0, 3.0, CLEAN.shape)
+    half = np.hstack([CLEAN[:, :256], np.rint(smooth[:, 256:]).astype(np.uint8)])
+    assert tear_of(Radiograph(torn(half, 371, 40), 255.0)) == Tear(371, 40, rows=True)
+    assert tear_of(Radiograph(half, 255.0)) is None
+
+
 def test_a_tear_between_two_exposures_is_found() -> None:
     """The two fields have independent noise."""
     later = in_8_bits(image(TRUTH, 6))
