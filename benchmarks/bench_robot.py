@@ -15,7 +15,8 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks import robot_faults, supervision
 from benchmarks.harness import Row, Rows, time_ms
 from sightline.robot.igtl import Image, Message, Stream, Transform, encode
-from sightline.robot.kinematics.manipulator import FEED, WRIST_MM, Manipulator, nominal_manipulator
+from sightline.robot.kinematics.designs import FEED, WRIST_MM, nominal_manipulator
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.reach import check_reach, hip_surroundings
 from sightline.robot.plant import CYCLE_S
 from sightline.robot.transport import BlockingClient

@@ -23,7 +23,7 @@ from benchmarks.harness import Rows
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.robot.control.states import MOVING, State
 from sightline.robot.igtl import Message, String, encode
-from sightline.robot.kinematics.manipulator import FEED, JOINTS
+from sightline.robot.kinematics.designs import FEED, JOINTS
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.server import LATE_S, PRIORITY, SWITCH_S, RobotServer, prefer_this_thread
 from sightline.robot.plant import CYCLE_S

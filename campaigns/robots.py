@@ -15,7 +15,7 @@ from tests.robot.rig import CLIENT, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
 from campaigns.campaign import Campaign, Damage, Ended
 from sightline.robot.control.states import COMMANDS, MOVING, State
 from sightline.robot.igtl import Capability, Message, String, Transform, encode
-from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.kinematics.designs import FEED
 from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
 
 STILL = 0.02  # of a joint's full speed: limit of an arm at rest

@@ -24,7 +24,7 @@ from sightline.app.web.serve import ServedApp, serve
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning import kind, plan
-from sightline.robot.kinematics.manipulator import YAW, imaging_yaw, nominal_manipulator
+from sightline.robot.kinematics.designs import YAW, imaging_yaw, nominal_manipulator
 from sightline.twin.objects.volumes import Volume
 
 HOSTILE = "<img src=x onerror='window.hacked=1'>"

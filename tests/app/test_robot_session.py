@@ -27,7 +27,7 @@ from sightline.robot.contract import DEPTH
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import Setup
 from sightline.robot.control.states import State
-from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.kinematics.designs import FEED
 from sightline.robot.kinematics.target import CONTACT_LEAD_MM, CONTACT_SD_MM, PLAN_SD_MM
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.server import RobotServer, Simulation

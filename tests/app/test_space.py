@@ -27,7 +27,7 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.rehearsal.patient import NAILED
 from sightline.rehearsal.rehearsal import Rehearsal
-from sightline.robot.kinematics.manipulator import FEED, PITCH, YAW, nominal_manipulator
+from sightline.robot.kinematics.designs import FEED, PITCH, YAW, nominal_manipulator
 from sightline.twin.anatomy.femur import Femur, voxelise
 from sightline.twin.objects.volumes import Volume
 

@@ -16,7 +16,7 @@ from sightline.frame import Frame
 from sightline.rehearsal.operation import SHOWN_FEED_MM, drawn_robot, shown_wire_mm
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.rehearsal.wire import BY_ENCODERS, BY_IMAGES, DemoPlan, registrations
-from sightline.robot.kinematics.manipulator import imaging_yaw
+from sightline.robot.kinematics.designs import imaging_yaw
 from sightline.robot.kinematics.target import Registration
 from sightline.studies.scenes import VIEWS, measure
 

@@ -28,7 +28,7 @@ from sightline.imaging import write_dicom
 from sightline.planning.check.shot import ALIGNED, PAUSED
 from sightline.rehearsal.operation import SimulatedTheatre, registered
 from sightline.rehearsal.rehearsal import Rehearsal
-from sightline.robot.kinematics.manipulator import FEED, YAW
+from sightline.robot.kinematics.designs import FEED, YAW
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.robot.plant import Reading
 from sightline.studies.scenes import VIEWS

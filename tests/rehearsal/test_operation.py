@@ -11,7 +11,7 @@ from sightline.common.checks import Limits
 from sightline.errors import RobotRefusedError
 from sightline.rehearsal.operation import SLEEVE_MM, InsertionOutcome, SimulatedTheatre, registered
 from sightline.robot.control.states import State
-from sightline.robot.kinematics.manipulator import FEED, imaging_yaw, nominal_manipulator
+from sightline.robot.kinematics.designs import FEED, imaging_yaw, nominal_manipulator
 from sightline.robot.kinematics.target import PlanIdentity, robot_target
 from sightline.robot.link.client import RobotClient
 from sightline.studies.fig15 import Figure15

@@ -11,7 +11,7 @@ from sightline.common.checks import Limits
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
 from sightline.rehearsal.operation import SimulatedTheatre, calibrated_robot, confirmed_setup, drawn_robot, registered
-from sightline.robot.kinematics.manipulator import FEED, imaging_yaw
+from sightline.robot.kinematics.designs import FEED, imaging_yaw
 from sightline.robot.kinematics.target import (
     CONTACT_LEAD_MM,
     CONTACT_SD_MM,

@@ -13,7 +13,8 @@ from sightline.frame import Frame
 from sightline.planning import reconstruct
 from sightline.rehearsal.operation import calibrated_robot, true_manipulator
 from sightline.robot.kinematics.calibrated import MACHINED_SD, REMOUNT_SD, SOURCES, CalibratedRobot, calibrate_axes
-from sightline.robot.kinematics.manipulator import Manipulator, nominal_manipulator
+from sightline.robot.kinematics.designs import nominal_manipulator
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import draw_setup
 

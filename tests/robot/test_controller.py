@@ -8,7 +8,7 @@ from sightline.robot.contract import Code
 from sightline.robot.control.states import COMMANDS, MOVING, TRANSITIONS, WAITING, State, Trigger, phase
 from sightline.robot.control.timing import Lease, LoopClock
 from sightline.robot.igtl import Capability, Command, Status, String, Transform
-from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.kinematics.designs import FEED
 from sightline.robot.plant import CYCLE_S, PlantFlag
 
 OTHER = 2

@@ -12,7 +12,7 @@ from sightline.errors import RobotRefusedError
 from sightline.robot.contract import DEPTH, DEPTH_SD, OPEN_HOLE_DEPTH
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Capability, Message, Status, Transform
-from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.kinematics.designs import FEED
 from sightline.robot.kinematics.target import (
     CONTACT_LEAD_MM,
     CONTACT_SD_MM,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.kinematics.manipulator import FEED, LIFT, PITCH, TRAVERSE, WRIST_MM, YAW, nominal_manipulator
+from sightline.robot.kinematics.designs import FEED, LIFT, PITCH, TRAVERSE, WRIST_MM, YAW, nominal_manipulator
 
 NOMINAL = nominal_manipulator()
 TIP_TOLERANCE_MM = 1e-9
@@ -87,7 +87,7 @@ def test_many_positions_are_many_poses():
     q = positions(np.random.default_rng(1), 7)
     for one in (NOMINAL.T_mcs_tool, NOMINAL.T_mcs_flange, NOMINAL.T_mcs_cfcs):
         assert np.allclose(one(q).as_matrix(), np.stack([one(each).as_matrix() for each in q]), atol=1e-12)
-    for one in (NOMINAL.tool_jacobian, NOMINAL.flange_jacobian, NOMINAL.flange_parameter_jacobian):
+    for one in (NOMINAL.tool_jacobian, NOMINAL.flange_jacobian, NOMINAL.axes_jacobian):
         assert np.allclose(one(q), np.stack([one(each) for each in q]), atol=1e-9)
     with pytest.raises(UnusableInputError, match=r"\(\.\.\., 5\)"):
         NOMINAL.T_mcs_tool(np.zeros(4))
@@ -127,10 +127,10 @@ def test_the_parameter_jacobian_is_the_derivative(seed):
     q, step = positions(rng), 1e-6
     robot = manipulators(rng)[2]
     found = []
-    for e in np.eye(36):
+    for e in np.eye(24):
         after, before = (robot.displaced(sign * step * e).T_mcs_flange(q) for sign in (1, -1))
         found.append(spatial_twist(after, before) / (2 * step))
-    assert np.allclose(robot.flange_parameter_jacobian(q), np.stack(found, axis=1), atol=1e-5)
+    assert np.allclose(robot.axes_jacobian(q), np.stack(found, axis=1), atol=1e-5)
 
 
 def test_an_axis_displaced_along_itself_is_the_same_axis():
@@ -159,22 +159,16 @@ def test_a_line_out_of_reach_names_the_joint_and_by_how_much(shift, said):
     ("direction", "said"),
     [
         ([0.3, 0.954, 0.0], r"yaw would go to 72\.5°, 12\.5° beyond its limit of 60\.0°"),
-        ([-1.0, 0.0, 0.0], "yaw would go to"),
+        ([-1.0, 0.0, 0.0], "points back"),
         ([0.6, 0.0, -0.8], r"pitch would go to -53\.1°, 8\.1° beyond its limit of -45\.0°"),
-        ([0.0, 0.0, 1.0], "straight up"),
-        ([0.0, 1.0, 0.0], "across the robot's front"),
+        ([0.0, 0.0, 1.0], "out of reach"),
+        ([0.0, 1.0, 0.0], "out of reach"),
     ],
 )
 def test_a_direction_out_of_reach_is_refused(direction, said):
     for robot in (NOMINAL, NOMINAL.displaced(1e-9 * np.ones((6, 6)))):
         with pytest.raises(RobotRefusedError, match=said):
             robot.inverse(REACHABLE[0], REACHABLE[0] + 50 * np.array(direction))
-
-
-def test_a_wire_bent_off_its_slide_cannot_stand_as_steep_as_asked():
-    bent = replace(NOMINAL, T_flange_tool=RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.5, 0.0])))
-    with pytest.raises(RobotRefusedError, match="as steep"):
-        bent.inverse(REACHABLE[0], REACHABLE[0] + [1e-3, 0.0, 50.0])
 
 
 def test_limits_are_reached_but_not_passed():

@@ -138,7 +138,7 @@ def test_where_it_stood_at_the_images(robot):
         one.at_image("lateral", LIFTED, now + 60.0, "image.png")
     with pytest.raises(RobotRefusedError, match="home the robot; then acquire both images again"):
         one.at_image("pa", IMAGED + 900.0, now, "image.png")
-    with pytest.raises(UnusableInputError, match="five finite"):
+    with pytest.raises(UnusableInputError, match="5 finite"):
         one.at_image("lateral", np.full(5, np.nan), now, "image.png")
     later = both.at_image("pa", LIFTED, now + 700.0, "image.png")  # for the next patient
     assert set(later.images) == {"pa"}

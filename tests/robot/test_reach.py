@@ -10,10 +10,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.common.checks import failed
 from sightline.errors import UnusableInputError
-from sightline.robot.kinematics.manipulator import FEED, LIFT, PITCH, TRAVERSE, YAW, nominal_manipulator
+from sightline.robot.kinematics.designs import FEED, LIFT, PITCH, TRAVERSE, YAW, nominal_manipulator
 from sightline.robot.kinematics.reach import (
     CLEARANCE_MM,
-    MACHINE,
     Obstacle,
     Surroundings,
     between,
@@ -61,13 +60,14 @@ def test_distance_of_a_line_from_a_box_is_the_least_of_its_points(seed):
 def test_the_nearest_line_is_found_among_all():
     """What is left out as too far away changes nothing: every line looked at gives the same."""
     robot, path, theatre = approach()
+    capsules = (*robot.parts, *frame_capsules(robot))
     for pose in np.random.default_rng(3).uniform(-1, 1, (1, 5)):
         way = np.stack([path[0], path[0] + pose * [40.0, 40.0, 0.2, 0.2, 0.0]])
         whole = []
         for obstacle in theatre.obstacles:
             inside = obstacle.T_mcs_box.inv()
-            for part in (*MACHINE, *frame_capsules(robot)):
-                stages = robot.stages(between(way))[:, part.joints]
+            for part in capsules:
+                stages = robot.stages(between(robot, way, capsules))[:, part.joints]
                 ends = robot.T_mcs_flange_home.apply(part.ends_mm)
                 lines = np.einsum("nab,kb->nka", stages[:, :3, :3], ends) + stages[:, None, :3, 3]
                 at = inside.apply(lines.reshape(-1, 3)).reshape(lines.shape)

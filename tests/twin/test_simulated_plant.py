@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
-from sightline.robot.kinematics.manipulator import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator
+from sightline.robot.kinematics.designs import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag
 from sightline.twin.objects.volumes import Volume
 from sightline.twin.robot.drilling import Bone
@@ -294,7 +294,7 @@ def test_the_same_generator_gives_the_same_readings():
 def test_graphics_that_are_not_there_are_not_needed(graphics: str) -> None:
     """As a shell names them that renders elsewhere without a screen. The variable keeps its value."""
     script = (
-        "import os\nimport numpy as np\nfrom sightline.robot.kinematics.manipulator import nominal_manipulator\n"
+        "import os\nimport numpy as np\nfrom sightline.robot.kinematics.designs import nominal_manipulator\n"
         "from sightline.twin.robot.plant import SimulatedPlant\n"
         "SimulatedPlant(nominal_manipulator(), None, np.random.default_rng(0), np.zeros(5))\n"
         "print(os.environ['MUJOCO_GL'])"

@@ -574,7 +574,6 @@ class DriveShots:
         from sightline.case.contents import CheckRequest, DrillShotRequest
         from sightline.errors import UnusableInputError
         from sightline.planning.check.shot import ALIGNED
-        from sightline.robot.kinematics.manipulator import FEED
 
         stood, straight = self.target.registration, state == ALIGNED
         if straight and picks.wire_points is None:
@@ -585,7 +584,7 @@ class DriveShots:
         check = CheckRequest(again.plan(plan).kind.wire_mm, landmarks_of(picks, plan))
         picked = picks.wire_uv_px
         q = self.robot.joints()[0]
-        tip_mm = float(q[FEED] - self.target.q[FEED])
+        tip_mm = self.target.depth_at(q)
         if self.on_patient is not None:
             return DrillShotRequest(check, tip_mm, straight, None, None, picked)
         middle_mm = again.plan(plan).trajectory.points.xyz_mm.mean(axis=0)

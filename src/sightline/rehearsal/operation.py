@@ -20,7 +20,8 @@ from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import IN_SLEEVE_MM, Insertion, OwnFrames, Setup
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot, Mount
-from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, YAW, Manipulator, imaging_yaw, nominal_manipulator
+from sightline.robot.kinematics.designs import FEED, YAW, imaging_yaw, nominal_manipulator
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.target import (
     PlanIdentity,
     PoseAtImage,
@@ -58,7 +59,7 @@ def calibrated_robot(side: str = "right", frame: Frame | None = None, yaw_rad: f
     """Return the nominal manipulator that holds a frame (default: one with plates), with axes and mounts calibrated to
     the accuracy of a workshop. `yaw_rad`: at the images, by default that of a wire in a hip."""
     manipulator = nominal_manipulator(side, np.zeros(3) if frame is None else hip_of(frame, side), yaw_rad)
-    sd = np.tile(REMAINING_SHARE * MACHINED_SD, ARM_JOINTS)
+    sd = np.tile(REMAINING_SHARE * MACHINED_SD, manipulator.arm_joints)
     axes = CalibratedAxes(manipulator, np.diag(sd**2), np.zeros((0, 0)))
     known = (manipulator.T_flange_cfcs, manipulator.T_flange_tool)
     held, wire = (Mount(pose, np.diag(MOUNT_SD**2), np.zeros(0)) for pose in known)
@@ -66,7 +67,7 @@ def calibrated_robot(side: str = "right", frame: Frame | None = None, yaw_rad: f
 
 
 def shown_wire_mm(robot: Manipulator, imaged: np.ndarray, behind_mm: ArrayLike) -> np.ndarray:
-    """Return the points (N, 3), CFCS, of the wire at the joints `imaged` (5,), `behind_mm` (N,) behind its tip."""
+    """Return the points (N, 3), CFCS, of the wire at the joints `imaged` (n,), `behind_mm` (N,) behind its tip."""
     along = -np.asarray(behind_mm)[:, None] * np.array([0.0, 0.0, 1.0])
     return (robot.T_mcs_cfcs(imaged).inv() * robot.T_mcs_tool(imaged)).apply(along)
 
@@ -75,13 +76,8 @@ def true_manipulator(robot: CalibratedRobot, rng: np.random.Generator) -> Manipu
     """Draw a true manipulator from the uncertainty of the calibration. The wire is fed along its own axis."""
     values, vectors = np.linalg.eigh(robot.covariance)
     twists = vectors @ (np.sqrt(np.clip(values, 0.0, None)) * rng.standard_normal(len(values)))
-    axes, frame, wire = np.split(twists, [6 * ARM_JOINTS, 6 * ARM_JOINTS + 6])
-    true = robot.manipulator.displaced(np.pad(axes.reshape(ARM_JOINTS, 6), ((0, 2), (0, 0))))
-    tool = RigidTransform.from_exp_coords(wire) * robot.manipulator.T_flange_tool
-    screws = true.axes.copy()
-    screws[FEED, 3:] = (true.T_mcs_flange_home * tool).rotation.apply([0.0, 0.0, 1.0])
-    held = RigidTransform.from_exp_coords(frame) * robot.manipulator.T_flange_cfcs
-    return replace(true, axes=screws, T_flange_cfcs=held, T_flange_tool=tool)
+    known, (frame, wire) = robot.manipulator, RigidTransform.from_exp_coords(twists[-12:].reshape(2, 6))
+    return known.displaced(twists[:-12]).with_mounts(frame * known.T_flange_cfcs, wire * known.T_flange_tool)
 
 
 def drawn_robot(
@@ -115,7 +111,7 @@ class InsertionOutcome:
 class SimulatedTheatre:
     """A simulated robot beside a patient.
 
-    `robot`: its calibrated model; `plant`: the true robot; `imaged` (5,): its encoders at the images; `T_mcs_cfcs`: the
+    `robot`: its calibrated model; `plant`: the true robot; `imaged` (n,): its encoders at the images; `T_mcs_cfcs`: the
     true pose of the frame then, which is also that of the bone; `setup`: confirmed by a person.
     """
 
@@ -178,7 +174,9 @@ class SimulatedTheatre:
             # Also while drilling: a client may order it before the robot's next cycle.
             if state in (State.ALIGNED, State.DRILL) and insertion is not None and insertion is not pushed:
                 pushed = insertion
-                self.plant.guide_mm = float(insertion.q[FEED]) + self._surface_mm(insertion) - SLEEVE_MM
+                self.plant.guide_mm = (
+                    float(insertion.q[self.robot.manipulator.feed]) + self._surface_mm(insertion) - SLEEVE_MM
+                )
             self.plant.advance(dt_s)
 
         simulation = Simulation(advance, virtual, self._truth)
@@ -230,7 +228,7 @@ def confirmed_setup(frame: Frame, side: str, serial: str, *, c_arm_away: bool = 
 def own_frames(
     robot: CalibratedRobot, imaged: np.ndarray, hip_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> OwnFrames:
-    """Return the own frames of a robot with encoders `imaged` (5,) at the images: its base frame is at the hip with the
+    """Return the own frames of a robot with encoders `imaged` (n,) at the images: its base frame is at the hip with the
     axes of the wire, both as at the images."""
     T_mcs_hip = robot.manipulator.T_mcs_cfcs(imaged) * RigidTransform.from_translation(hip_mm)
     axes = robot.manipulator.T_mcs_tool(imaged).rotation
@@ -238,7 +236,7 @@ def own_frames(
 
 
 def registered(robot: CalibratedRobot, imaged: np.ndarray, now_s: float) -> Registration:
-    """Register a robot that has not moved since the images, from its encoders (5,) read at `now_s` by time.monotonic,
+    """Register a robot that has not moved since the images, from its encoders (n,) read at `now_s` by time.monotonic,
     the clock of `insert`. Raises RobotRefusedError."""
     pose = PoseAtImage(imaged, now_s, now_s)
     return register(robot, {"pa": pose, "lateral": pose})

@@ -36,7 +36,8 @@ from sightline.rehearsal.patient import (
 )
 from sightline.robot.contract import NO_SERIAL
 from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
-from sightline.robot.kinematics.manipulator import Manipulator, imaging_yaw
+from sightline.robot.kinematics.designs import imaging_yaw
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.link.record import SimulatedWire
 from sightline.twin import HipScene, Scene, render, shown_hip_scene
 from sightline.twin.anatomy.femur import draw_femur

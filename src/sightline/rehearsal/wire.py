@@ -25,7 +25,6 @@ from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
 from sightline.robot.control.states import State
 from sightline.robot.control.supervision import depth_limit
-from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.kinematics.target import PlanIdentity, Registration, RobotTarget
 from sightline.robot.link.client import RobotClient
 
@@ -140,7 +139,7 @@ class Inserted:
 def registrations(
     planned: DemoPlan, imaged: np.ndarray, now_s: float, rng: np.random.Generator
 ) -> dict[str, Registration]:
-    """Return the robot's registration by its encoders (5,) at the images; with a block also by the images, in which a
+    """Return the robot's registration by its encoders (n,) at the images; with a block also by the images, in which a
     person picks the robot's own wire. Raises RobotRefusedError where both disagree beyond their stated errors."""
     robot, wire_mm = planned.robot.robot, planned.robot.robot_wire_mm
     by_encoders = {BY_ENCODERS: registered(robot, imaged, now_s)}
@@ -187,7 +186,7 @@ def drill_shot(
     movement, covariance = planned.robot.robot.frame_moved(target.registration.q, q, middle_mm)
     check = CheckRequest(plan.kind.wire_mm, planned.found_again(taken, rng))
     picked = None if taken.picked_mm is None else taken.pixels(taken.picked_mm, planned.asked.pick_sd_px, rng)
-    depth_mm, straight = float(q[FEED] - target.q[FEED]), state is State.ALIGNED
+    depth_mm, straight = target.depth_at(q), state is State.ALIGNED
     request = DrillShotRequest(check, depth_mm, straight, movement.as_matrix(), covariance, picked)
     shot = TakenShot.of(planned, request, taken.images)
     if isinstance(shot.result, str):

@@ -23,7 +23,7 @@ class PlantFlag(Flag):
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One sample of a plant: `time_s` since its start, `encoders` (5,) in mm and rad, and `force_n` along the wire,
+    """One sample of a plant: `time_s` since its start, `encoders` (n,) in mm and rad, and `force_n` along the wire,
     positive when bone pushes back."""
 
     time_s: float
@@ -41,7 +41,7 @@ class Plant(Protocol):
         ...
 
     def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
-        """Set joint velocities (5,), mm/s and rad/s; the plant limits them to its speeds and accelerations."""
+        """Set joint velocities (n,), mm/s and rad/s; the plant limits them to its speeds and accelerations."""
 
     def hold(self) -> None:
         """Stop the joints with the plant's accelerations, switch the drill off, and hold the position."""

@@ -74,7 +74,7 @@ def nail_of(patient: Patient) -> Nail | None:
 def shot_images(
     patient: Patient, wires: Mapping[str, str], q: Sequence[float], state: str, on_patient: bool = False
 ) -> dict[str, bytes]:
-    """Return both images while drilling, with the robot waiting in a state at its joints `q` (5,); `wires` as of
+    """Return both images while drilling, with the robot waiting in a state at its joints `q` (n,); `wires` as of
     `check_images`, the one that is drilled last. `on_patient`: the frame is fixed to the patient."""
     rehearsal, newest, key, before_mm = _in_bone(patient, wires)
     taken = rehearsal.drilling_images(newest, np.array(q), state, key, before_mm, on_patient=on_patient)

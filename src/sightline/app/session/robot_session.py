@@ -72,7 +72,7 @@ class RobotSession:
     or commands change.
 
     Commands are carried out one at a time; `stop` is sent at once, on a separate connection.
-    `imaged_q` (5,): joints at the images, read when the session opens: the simulated robot starts in its pose at the
+    `imaged_q` (n,): joints at the images, read when the session opens: the simulated robot starts in its pose at the
     images and moves only on commands sent here.
     """
 
@@ -192,7 +192,7 @@ class RobotSession:
         await self._do("resetting", lambda client: client.reset(fault))
 
     async def joints(self) -> np.ndarray:
-        """Return the robot's joints (5,) by its encoders, now. Raises RobotRefusedError, LinkError."""
+        """Return the robot's joints (n,) by its encoders, now. Raises RobotRefusedError, LinkError."""
         return await self._do("reporting its joints", lambda client: client.joints()[0])
 
     async def simulated_wire(self) -> SimulatedWire:

@@ -26,7 +26,6 @@ from sightline.frame import Frame
 from sightline.planning.check.result import MIN_LANDMARKS
 from sightline.planning.check.shot import ALIGNED, PAUSED, DrillShot
 from sightline.planning.check.wires import Landmarks
-from sightline.robot.kinematics.manipulator import FEED
 
 STOP = "STOP"
 _ON_PATIENT = "frame on patient"  # what a person's statement changes, in the journal
@@ -186,7 +185,7 @@ class Shots:
             registered = target.registration
             movement, covariance = registered.robot.frame_moved(registered.q, q, middle_mm)
             moved = movement.as_matrix(), covariance
-        check, tip_mm = CheckRequest(plan.kind.wire_mm, landmarks), float(q[FEED] - target.q[FEED])
+        check, tip_mm = CheckRequest(plan.kind.wire_mm, landmarks), target.depth_at(q)
         asked = DrillShotRequest(check, tip_mm, state == ALIGNED, *moved, picked)
         points = () if picked is None else picked.tobytes()
         return (held, *numbers, landmarks.checked_uv_px.tobytes(), points), held, seen, asked

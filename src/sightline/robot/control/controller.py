@@ -16,7 +16,7 @@ import numpy as np
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
-from sightline.robot.control.course import STANDING_LIMIT
+from sightline.robot.control.course import STANDING_SHARE, moving_limit
 from sightline.robot.control.insertion import Insertion, Setup, read_registration, read_target
 from sightline.robot.control.machine import Machine
 from sightline.robot.control.requests import Answer, Outcome, Panel, RequestRefusedError
@@ -24,7 +24,6 @@ from sightline.robot.control.states import COMMANDS, TRANSITIONS, State, Trigger
 from sightline.robot.control.timing import Lifetimes
 from sightline.robot.igtl import Message
 from sightline.robot.kinematics.calibrated import CalibratedRobot
-from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.kinematics.target import SHOT_SD_MM
 from sightline.robot.plant import Plant
 
@@ -40,7 +39,7 @@ TARGET = "TARGET"  # name of the outcome for a target's check
 
 @dataclass(frozen=True, eq=False)
 class CollisionCheck:
-    """Collision check of an insertion for a `client`, starting at the joints `start` (5,). `trigger`: the motion that
+    """Collision check of an insertion for a `client`, starting at the joints `start` (n,). `trigger`: the motion that
     waits for it; None for a target just sent. `result` raises RobotRefusedError with what is in the way."""
 
     client: int
@@ -193,7 +192,8 @@ class Controller:
 
     def _needs_check(self, trigger: Trigger) -> bool:
         """Return whether the arm would swing from another place than where its path was checked from."""
-        moved = np.abs(self.machine.q - self._checked_from) > STANDING_LIMIT
+        limit = STANDING_SHARE * moving_limit(self.machine.robot.manipulator)
+        moved = np.abs(self.machine.q - self._checked_from) > limit
         return trigger in _MOTION and TRANSITIONS[self.machine.state, trigger] is State.ALIGN and bool(moved.any())
 
     # Collision check.
@@ -267,7 +267,7 @@ class Controller:
         self._hold_lease(client)
         if self.machine.state is not State.PAUSED or self.machine.drilling is None:
             raise _no(Code.NOT_READY, f"a shot's depth is taken in PAUSED; the robot is in {self.machine.state.value}")
-        self.machine.drilling.correct_depth(float(self.machine.q[FEED]), depth_mm, sd_mm)
+        self.machine.drilling.correct_depth(self.machine.fed_mm, depth_mm, sd_mm)
         return Answer(Code.OK)
 
     def _stop(self, client: int, now_s: float) -> Answer:

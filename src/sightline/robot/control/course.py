@@ -9,7 +9,7 @@ import numpy as np
 from sightline.errors import UnusableInputError
 from sightline.robot.control.insertion import Insertion, retracted
 from sightline.robot.control.states import Trigger
-from sightline.robot.kinematics.manipulator import FEED, JOINTS, ROTARY, Manipulator
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.plant import Reading
 
 ACCELERATION_SHARE = 0.5  # of the manipulator's acceleration: the rest is left for corrections [ours]
@@ -17,14 +17,18 @@ RETRACT_MM_S = 10.0  # [ours] feed out of bone, with the drill off: ten times th
 POSITION_GAIN_PER_S = 10.0  # of the position error: a time constant of 0.1 s, twenty cycles [ours]
 # Limits of a joint's position error, moving and standing (mm, rad) [ours]: a servo lags by less, and a jam exceeds them
 # at once.
-MOVING_LIMIT = np.where(ROTARY, np.deg2rad(0.5), 1.0)
-STANDING_LIMIT = MOVING_LIMIT / 5
+MOVING_LIMIT_MM, MOVING_LIMIT_RAD, STANDING_SHARE = 1.0, float(np.deg2rad(0.5)), 0.2
 SETTLED_COUNTS, SETTLE_S = 2.0, 1.0  # at the end of a leg: position error in encoder counts, and time to reach it
 
 
+def moving_limit(manipulator: Manipulator) -> np.ndarray:
+    """Return the limits (n,) of the joints' position errors during a motion; STANDING_SHARE of them at rest."""
+    return np.where(manipulator.rotary, MOVING_LIMIT_RAD, MOVING_LIMIT_MM)
+
+
 class Move:
-    """Motion from `start` to `end` (5,), mm and rad, beginning at `begun_s`, with a trapezoidal velocity profile. No
-    joint exceeds `speed` or `acceleration` (5,); the slowest joint sets `duration_s`, from rest to rest."""
+    """Motion from `start` to `end` (n,), mm and rad, beginning at `begun_s`, with a trapezoidal velocity profile. No
+    joint exceeds `speed` or `acceleration` (n,); the slowest joint sets `duration_s`, from rest to rest."""
 
     def __init__(
         self, start: np.ndarray, end: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, begun_s: float
@@ -44,7 +48,7 @@ class Move:
             self.duration_s = 2 * self._rise_s + level_s
 
     def at(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint positions (5,) and velocities (5,); at rest before the beginning and after the end."""
+        """Return joint positions (n,) and velocities (n,); at rest before the beginning and after the end."""
         if self._rise_s == 0:
             return self.end, np.zeros_like(self.end)
         t = min(max(time_s - self.begun_s, 0.0), self.duration_s)
@@ -61,7 +65,7 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """The command of one cycle: joint velocities (5,) and the drill. `trigger`: the transition that ends the activity,
+    """The command of one cycle: joint velocities (n,) and the drill. `trigger`: the transition that ends the activity,
     with its reason in `text`; None while the activity continues."""
 
     velocity: np.ndarray
@@ -79,13 +83,13 @@ class Activity(Protocol):
 
     @property
     def position(self) -> np.ndarray:
-        """(5,): commanded position of the joints."""
+        """(n,): commanded position of the joints."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A straight segment of a course, to the joints `end` (5,) with at most `speed` (5,)."""
+    """A straight segment of a course, to the joints `end` (n,) with at most `speed` (n,)."""
 
     end: np.ndarray
     speed: np.ndarray
@@ -111,7 +115,7 @@ class Course:
             unsettled = np.abs(behind) > SETTLED_COUNTS * self._manipulator.resolution
             if not unsettled.any():
                 if not self._left:
-                    return Step(np.zeros(len(JOINTS)), trigger=Trigger.ARRIVED)
+                    return Step(np.zeros(self._manipulator.count), trigger=Trigger.ARRIVED)
                 self._next(now_s)
             elif now_s > self._end_s + SETTLE_S:
                 return self._fault(int(np.argmax(unsettled)), behind)
@@ -121,32 +125,31 @@ class Course:
         leg = self._left.pop(0)
         acceleration = ACCELERATION_SHARE * self._manipulator.acceleration
         self._move = Move(self.position, leg.end, leg.speed, acceleration, now_s)
-        self._limit = np.where(leg.end != self.position, MOVING_LIMIT, STANDING_LIMIT)
+        self._limit = moving_limit(self._manipulator) * np.where(leg.end != self.position, 1.0, STANDING_SHARE)
         self._end_s = now_s + self._move.duration_s
         return self._move
 
     def _fault(self, joint: int, behind: np.ndarray) -> Step:
-        by = f"{np.rad2deg(abs(behind[joint])):.2f}°" if ROTARY[joint] else f"{abs(behind[joint]):.2f} mm"
-        text = f"{JOINTS[joint]} is {by} from where it should be: it is blocked, pushed, or its drive fails"
-        return Step(np.zeros(len(JOINTS)), trigger=Trigger.FAULT, text=text)
+        by, arm = float(abs(behind[joint])), self._manipulator
+        text = f"{np.rad2deg(by):.2f}°" if arm.rotary[joint] else f"{by:.2f} mm"
+        text = f"{arm.joints[joint]} is {text} from where it should be: it is blocked, pushed, or its drive fails"
+        return Step(np.zeros(arm.count), trigger=Trigger.FAULT, text=text)
 
 
 def align(manipulator: Manipulator, insertion: Insertion, q: np.ndarray) -> Course:
-    """Return the course from the joints `q` (5,) to the stand-off: wire back, arm to its line, wire forward."""
+    """Return the course from the joints `q` (n,) to the stand-off: wire back, arm to its line, wire forward."""
     _, back, on_line, forward = insertion.waypoints(manipulator, q)
-    speed = manipulator.speed
-    return Course(
-        manipulator, q, (Leg(back, limit_feed(speed, RETRACT_MM_S)), Leg(on_line, speed), Leg(forward, speed))
-    )
+    speed, slow = manipulator.speed, limit_feed(manipulator, RETRACT_MM_S)
+    return Course(manipulator, q, (Leg(back, slow), Leg(on_line, speed), Leg(forward, speed)))
 
 
 def retract(manipulator: Manipulator, q: np.ndarray) -> Course:
     """Return the course that retracts the wire and holds the other joints."""
-    return Course(manipulator, q, (Leg(retracted(manipulator, q), limit_feed(manipulator.speed, RETRACT_MM_S)),))
+    return Course(manipulator, q, (Leg(retracted(manipulator, q), limit_feed(manipulator, RETRACT_MM_S)),))
 
 
-def limit_feed(speed: np.ndarray, feed_mm_s: float) -> np.ndarray:
-    """Return the joints' speeds (5,) with the feed's limited to `feed_mm_s`."""
-    limited = speed.copy()
-    limited[FEED] = min(limited[FEED], feed_mm_s)
+def limit_feed(manipulator: Manipulator, feed_mm_s: float) -> np.ndarray:
+    """Return the joints' speeds (n,) with the feed's limited to `feed_mm_s`."""
+    limited = manipulator.speed.copy()
+    limited[manipulator.feed] = min(limited[manipulator.feed], feed_mm_s)
     return limited

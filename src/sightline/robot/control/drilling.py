@@ -7,7 +7,7 @@ from sightline.robot.control.course import Course, Leg, Step, limit_feed
 from sightline.robot.control.insertion import Insertion
 from sightline.robot.control.states import Trigger
 from sightline.robot.control.supervision import CORTEX_N, EventKind, Supervision, SupervisionEvent
-from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.target import (
     CONTACT_LEAD_MM,
     CONTACT_SD_MM,
@@ -39,7 +39,8 @@ class Drilling:
         self, manipulator: Manipulator, insertion: Insertion, into_bone: bool, before: "Drilling | None" = None
     ) -> None:
         self.noted: list[SupervisionEvent] = []
-        self.zero = DepthZero(float(insertion.q[FEED])) if before is None else before.zero
+        self._feed = manipulator.feed
+        self.zero = DepthZero(float(insertion.q[self._feed])) if before is None else before.zero
         self._manipulator, self.insertion = manipulator, insertion
         self.position = self._at(-insertion.standoff_mm)
         self._supervision: Supervision
@@ -72,9 +73,9 @@ class Drilling:
         """Correct the zero of depth: at `feed_mm` the tip was measured at `depth_mm`, standard deviation `sd_mm`.
         Raises RobotRefusedError if the correction is too large or leaves too little feed."""
         zero = self.zero.corrected(feed_mm, depth_mm, sd_mm)
-        end = self.insertion.at_depth(self.insertion.length_mm)
-        end[FEED] += zero.feed_mm - self.insertion.q[FEED]
-        beyond = float(self._manipulator.beyond_limits(end)[FEED])
+        further = self.insertion.length_mm + zero.feed_mm - float(self.insertion.q[self._feed])
+        end = self._manipulator.fed(self.insertion.q, further)
+        beyond = float(self._manipulator.beyond_limits(end)[self._feed])
         if beyond > 0:
             raise RobotRefusedError(f"the feed would end {beyond:.1f} mm before the end point; plan a shorter wire")
         self.zero = zero
@@ -92,18 +93,17 @@ class Drilling:
         return Step(step.velocity, drill_on=step.trigger is None, trigger=step.trigger, text=step.text)
 
     def _at(self, depth_mm: float) -> np.ndarray:
-        """Return the joints (5,) with the tip at a depth."""
+        """Return the joints (n,) with the tip at a depth."""
         q = self.insertion.q.copy()
-        q[FEED] = self.zero.feed_mm + depth_mm
+        q[self._feed] = self.zero.feed_mm + depth_mm
         return q
 
     def _begin(self) -> None:
         goal = self._end_mm if self._paused else self._pause_mm
-        speed = self._manipulator.speed
-        legs = [Leg(self._at(goal), limit_feed(speed, DRILL_MM_S))]
+        legs = [Leg(self._at(goal), limit_feed(self._manipulator, DRILL_MM_S))]
         near = -self._before_mm - NEAR_MM
-        if self.zero.depth_mm(self.position[FEED]) < near and not self._touched:
-            legs.insert(0, Leg(self._at(near), limit_feed(speed, APPROACH_MM_S)))
+        if self.zero.depth_mm(self.position[self._feed]) < near and not self._touched:
+            legs.insert(0, Leg(self._at(near), limit_feed(self._manipulator, APPROACH_MM_S)))
         self._course = Course(self._manipulator, self.position, legs)
 
     def _watch(self, reading: Reading) -> Step | None:
@@ -111,7 +111,7 @@ class Drilling:
         if reading.time_s == self._sampled_s:
             return None
         self._sampled_s = reading.time_s
-        feed = float(reading.encoders[FEED])
+        feed = float(reading.encoders[self._feed])
         depth = self.zero.depth_mm(feed)
         try:
             noted = self._supervision.step(reading.time_s, depth, reading.force_n)
@@ -195,4 +195,4 @@ _SAID = {
 
 
 def _stop(trigger: Trigger, text: str) -> Step:
-    return Step(np.zeros(len(JOINTS)), trigger=trigger, text=text)
+    return Step(np.zeros(0), trigger=trigger, text=text)  # a step that ends an activity commands nothing

@@ -12,7 +12,7 @@ from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot import contract
 from sightline.robot.igtl import Message, Transform
 from sightline.robot.kinematics.calibrated import CalibratedRobot
-from sightline.robot.kinematics.manipulator import FEED, Manipulator, fed
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.reach import check_reach, hip_surroundings
 from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity
 
@@ -73,7 +73,7 @@ class LinkRegistration:
 
 @dataclass(frozen=True, eq=False)
 class Insertion:
-    """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (5,): the joints with the tip at the entry point.
+    """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (n,): the joints with the tip at the entry point.
 
     `sent`: the pose at the end point as received; `T_cfcs_wire`: the pose that the robot will reach. Depths count from
     the entry point. `identity` is None for a bare transform. `limits`: of them only `beyond_mm` and `before_mm` count.
@@ -109,20 +109,15 @@ class Insertion:
             and np.array_equal(self.q, other.q)
         )
 
-    def at_depth(self, depth_mm: float) -> np.ndarray:
-        """Return the joints (5,) with the tip at this depth beyond the entry point."""
-        return fed(self.q, depth_mm)
-
     def waypoints(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
-        """Return the joints (4, 5) from `q` (5,) to the stand-off: wire back, arm to its line, wire forward."""
+        """Return the joints (4, n) from `q` (n,) to the stand-off: wire back, arm to its line, wire forward."""
         back = retracted(manipulator, q)
-        on_line = self.q.copy()
-        on_line[FEED] = back[FEED]
-        return np.stack([q, back, on_line, self.at_depth(-self.standoff_mm)])
+        on_line = retracted(manipulator, self.q)
+        return np.stack([q, back, on_line, manipulator.fed(self.q, -self.standoff_mm)])
 
     def refuse_collision(self, manipulator: Manipulator, q: np.ndarray, setup: Setup) -> None:
-        """Raise RobotRefusedError if the path from the joints `q` (5,) to the end point comes too near an obstacle."""
-        way = np.vstack([self.waypoints(manipulator, q), self.at_depth(self.length_mm)])
+        """Raise RobotRefusedError if the path from the joints `q` (n,) to the end point comes too near an obstacle."""
+        way = np.vstack([self.waypoints(manipulator, q), manipulator.fed(self.q, self.length_mm)])
         at_hip = self.T_mcs_cfcs * RigidTransform.from_translation(setup.hip_mm)
         T_mcs_hip = at_hip if setup.frames is None else setup.frames.T_mcs_hip
         theatre = hip_surroundings(T_mcs_hip, setup.frame_mounted, setup.remount_mm, c_arm=not setup.c_arm_away)
@@ -132,9 +127,9 @@ class Insertion:
 
 
 def retracted(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
-    """Return the joints (5,) with the wire in its sleeve."""
+    """Return the joints (n,) with the wire in its sleeve."""
     back = np.array(q, dtype=np.float64)
-    back[FEED] = manipulator.lower[FEED] + IN_SLEEVE_MM
+    back[manipulator.feed] = manipulator.lower[manipulator.feed] + IN_SLEEVE_MM
     return back
 
 
@@ -178,15 +173,15 @@ def read_target(
     entry = end - length * along
     q = robot.manipulator.inverse(entry, end)
     refuse_feed(robot.manipulator, q, length, limits.before_mm)
-    laid = registration.T_mcs_cfcs.inv() * robot.manipulator.T_mcs_tool(fed(q, length))
+    laid = registration.T_mcs_cfcs.inv() * robot.manipulator.T_mcs_tool(robot.manipulator.fed(q, length))
     return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, sent, laid, limit, expires, limits)
 
 
 def refuse_feed(manipulator: Manipulator, q: np.ndarray, length_mm: float, before_mm: float = 0.0) -> None:
     """Raise RobotRefusedError if the feed cannot go from the stand-off to the end point. `before_mm`: how far before
     the entry point bone may begin."""
-    off = STANDOFF_MM + before_mm
-    before, beyond = q[FEED] - off - manipulator.lower[FEED], q[FEED] + length_mm - manipulator.upper[FEED]
+    off, feed = STANDOFF_MM + before_mm, manipulator.feed
+    before, beyond = q[feed] - off - manipulator.lower[feed], q[feed] + length_mm - manipulator.upper[feed]
     if before < 0:
         raise RobotRefusedError(
             f"the entry point is {-before:.1f} mm too near: the wire must stop {off:g} mm before it; move the robot's "

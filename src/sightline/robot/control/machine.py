@@ -7,14 +7,14 @@ from math import isfinite
 import numpy as np
 
 from sightline.robot.contract import MAX_KEPT, Code
-from sightline.robot.control.course import MOVING_LIMIT, STANDING_LIMIT, Activity, align, retract
+from sightline.robot.control.course import STANDING_SHARE, Activity, align, moving_limit, retract
 from sightline.robot.control.drilling import Drilling
 from sightline.robot.control.insertion import Insertion, LinkRegistration, Setup
 from sightline.robot.control.requests import Answer, Outcome, Outcomes, Panel, RequestRefusedError, RobotFault, Snapshot
 from sightline.robot.control.states import ACTIVITIES, MOVING, TRANSITIONS, WAITING, State, Trigger
 from sightline.robot.control.timing import Lease, LoopClock
 from sightline.robot.kinematics.calibrated import CalibratedRobot
-from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator, describe_excess
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.target import DepthZero
 from sightline.robot.plant import WATCHDOG_S, Plant, PlantFlag, Reading
 
@@ -55,29 +55,30 @@ class Samples:
         return None
 
     def wrong(self, manipulator: Manipulator, state: State, rest: np.ndarray) -> str | None:
-        """Return the fault in the latest sample for a robot that moves, or that should stand at `rest` (5,); else
+        """Return the fault in the latest sample for a robot that moves, or that should stand at `rest` (n,); else
         None."""
         reading = self.latest
         beyond = manipulator.beyond_limits(reading.encoders)
-        outside = np.abs(beyond) > MOVING_LIMIT
+        limit = moving_limit(manipulator)
+        outside = np.abs(beyond) > limit
         if any(outside.tolist()):
             joint = int(np.argmax(outside))
             at, excess = float(reading.encoders[joint]), float(beyond[joint])
-            return f"outside the workspace: {describe_excess(joint, at, excess, 'is at')}"
+            return f"outside the workspace: {manipulator.describe_excess(joint, at, excess, 'is at')}"
         if PlantFlag.OVERLOAD in reading.flags and state in MOVING:
             return "a drive is at the limit of its force: something blocks the robot"
         if state in WAITING:
-            off = np.abs(reading.encoders - rest) > STANDING_LIMIT
+            off = np.abs(reading.encoders - rest) > STANDING_SHARE * limit
             if off.any():
-                return f"{JOINTS[int(np.argmax(off))]} was moved while it should stand"
+                return f"{manipulator.joints[int(np.argmax(off))]} was moved while it should stand"
         return None
 
     @property
     def velocity(self) -> np.ndarray:
-        """(5,): joint velocities over the window, mm/s and rad/s."""
+        """(n,): joint velocities over the window, mm/s and rad/s."""
         first, last = self._past[0], self._past[-1]
         elapsed = last.time_s - first.time_s
-        return (last.encoders - first.encoders) / elapsed if elapsed > 0 else np.zeros(len(JOINTS))
+        return (last.encoders - first.encoders) / elapsed if elapsed > 0 else np.zeros_like(last.encoders)
 
     def still(self, manipulator: Manipulator) -> bool:
         """Return whether all joints stand still."""
@@ -109,7 +110,7 @@ class Machine:
         self._next_fault = first_fault
         self._begun_s = 0.0  # LoopClock time of an activity's first cycle: the request before it may have taken long
         self._acted_s: float | None = None  # time of the current activity's last cycle
-        self._commanded = np.zeros(len(JOINTS))
+        self._commanded = np.zeros(self.robot.manipulator.count)
         self._rest = self.q  # position of the joints while the robot waits
         self._moving_for: tuple[int, str] | None = None
         self._stopped_s = 0.0
@@ -118,8 +119,13 @@ class Machine:
 
     @property
     def q(self) -> np.ndarray:
-        """(5,): joint positions by the encoders, mm and rad."""
+        """(n,): joint positions by the encoders, mm and rad."""
         return self._samples.latest.encoders
+
+    @property
+    def fed_mm(self) -> float:
+        """Position of the feed by its encoder, mm."""
+        return float(self.q[self.robot.manipulator.feed])
 
     @property
     def clock_s(self) -> float:
@@ -150,7 +156,7 @@ class Machine:
             self._samples.velocity,
             self.q if self._activity is None else self._activity.position,
             self._commanded,
-            None if zero is None else zero.depth_mm(float(self.q[FEED])),
+            None if zero is None else zero.depth_mm(self.fed_mm),
             None if zero is None else zero.sd_mm,
             self.fault,
         )
@@ -167,7 +173,7 @@ class Machine:
         self._supervise(now_s)
         self._act(now_s)
         if self._activity is None:
-            self._commanded = np.zeros(len(JOINTS))
+            self._commanded = np.zeros(self.robot.manipulator.count)
             self._plant.hold()
         self._report_stops(now_s)
 
@@ -313,7 +319,7 @@ class Machine:
         """Stop the joints and the drill, and end the activity."""
         self._plant.hold()
         self._activity = self._acted_s = None
-        self._commanded = np.zeros(len(JOINTS))
+        self._commanded = np.zeros(self.robot.manipulator.count)
         self._stopped_s = now_s
 
     def _end_motion(self, code: Code, text: str) -> None:
@@ -326,4 +332,6 @@ class Machine:
         """Depth zero of the hole in progress, else of the plan."""
         if self.insertion is None:
             return None
-        return DepthZero(float(self.insertion.q[FEED])) if self.drilling is None else self.drilling.zero
+        if self.drilling is not None:
+            return self.drilling.zero
+        return DepthZero(float(self.insertion.q[self.robot.manipulator.feed]))

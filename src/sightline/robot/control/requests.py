@@ -48,7 +48,7 @@ class RobotFault:
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """The controller's state at one time. `depth_mm`: of the tip beyond the entry point, `depth_sd_mm`: its standard
-    deviation, both None without a target; `wanted` (5,): the commanded position of the joints."""
+    deviation, both None without a target; `wanted` (n,): the commanded position of the joints."""
 
     state: State
     reading: Reading

@@ -1,6 +1,6 @@
 """Calibration of the manipulator: its axes, and the mounts of frame and wire on the flange, with their covariance."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.special import chdtrc  # not scipy.stats, which takes half a second t
 from sightline.common.checks import FALSE_ALARM
 from sightline.common.geometry.rigid import adjoint, displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, Manipulator
+from sightline.robot.kinematics.manipulator import Manipulator
 
 # Machining tolerance of an axis, 1 s.d. of its twist [ours]: 1 mrad and 0.2 mm, of an ordinary workshop. A prior that
 # is too narrow would contradict the measurements.
@@ -24,7 +24,7 @@ SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
 # pins.
 REMOUNT_SD = np.array([5e-4] * 3 + [0.05] * 3)
 MIN_SEEN_MM = 20.0  # [ours] length of wire between two points that gives its direction, to 0.1 mm / 20 mm = 0.3°
-_AXES, _FRAME, _WIRE = slice(0, 24), slice(24, 30), slice(30, 36)
+_AXES, _FRAME, _WIRE = slice(0, -12), slice(-12, -6), slice(-6, None)
 _MAX_ITERATIONS, _TOLERANCE = 30, 1e-9
 
 
@@ -105,8 +105,8 @@ def _need(condition: bool | np.bool_, message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedAxes:
-    """`manipulator` with its four arm axes as measured; `covariance` (24, 24) of their twists; `residual_mm` (N, M) of
-    the measured targets."""
+    """`manipulator` with the K axes of its arm as measured; `covariance` (6 K, 6 K) of their twists; `residual_mm`
+    (N, M) of the measured targets."""
 
     manipulator: Manipulator
     covariance: np.ndarray
@@ -117,7 +117,7 @@ class CalibratedAxes:
 class CalibratedRobot:
     """A calibrated robot. `manipulator`: with all calibrations applied.
 
-    `covariance` (36, 36): of the twists of the four arm axes (MCS, at q = 0), of the frame and of the wire on the
+    `covariance` (6 K + 12, 6 K + 12): of the twists of the arm's K axes (MCS, at q = 0), then of frame and wire on the
     flange (flange coordinates). These errors are common to all poses. `compliance_sd` (6,): of the flange's twist that
     the encoders cannot see, independent in every pose, flange coordinates.
     """
@@ -127,26 +127,25 @@ class CalibratedRobot:
     compliance_sd: np.ndarray
 
     def __post_init__(self) -> None:
-        if self.covariance.shape != (36, 36) or np.linalg.eigvalsh(self.covariance)[0] < -1e-12:
-            raise UnusableInputError("a robot's calibration needs a covariance (36, 36) without negative variances")
+        size = 6 * self.manipulator.arm_joints + 12
+        if self.covariance.shape != (size, size) or np.linalg.eigvalsh(self.covariance)[0] < -1e-12:
+            raise UnusableInputError(
+                f"a robot's calibration needs a covariance ({size}, {size}) without negative variances"
+            )
 
     @staticmethod
     def of(
         axes: CalibratedAxes, frame: Mount, wire: Mount, compliance_sd: np.ndarray = COMPLIANCE_SD
     ) -> "CalibratedRobot":
         """Return the robot from its three independent calibrations. The wire is fed along its mount's +z."""
-        home = axes.manipulator.T_mcs_flange_home
-        screws = axes.manipulator.axes.copy()
-        screws[FEED] = 0.0
-        screws[FEED, 3:] = (home * wire.pose).rotation.apply([0.0, 0.0, 1.0])
-        covariance = np.zeros((36, 36))
+        covariance = np.zeros((len(axes.covariance) + 12,) * 2)
         covariance[_AXES, _AXES] = axes.covariance
         covariance[_FRAME, _FRAME], covariance[_WIRE, _WIRE] = frame.covariance, wire.covariance
-        manipulator = replace(axes.manipulator, axes=screws, T_flange_cfcs=frame.pose, T_flange_tool=wire.pose)
+        manipulator = axes.manipulator.with_mounts(frame.pose, wire.pose)
         return CalibratedRobot(manipulator, covariance, np.asarray(compliance_sd, dtype=np.float64))
 
     def with_wire_seen(self, q: np.ndarray, wire_mm: np.ndarray, covariance_mm2: np.ndarray) -> "CalibratedRobot":
-        """Return the robot with its mounts of frame and wire corrected by images of both at the joints `q` (5,).
+        """Return the robot with its mounts of frame and wire corrected by images of both at the joints `q` (n,).
 
         `wire_mm` (2, 3): a point of the wire and its tip, CFCS, as reconstructed from the images, with their
         `covariance_mm2` (6, 6); along the wire only the tip counts. A linear update of the stated errors of the mounts:
@@ -173,27 +172,24 @@ class CalibratedRobot:
         design = np.zeros((5, len(self.covariance)))
         design[:, _WIRE] = move @ self._to_flange(q)
         design[:, _FRAME] = -design[:, _WIRE]
-        fed = move @ manipulator.tool_jacobian(q)[:, FEED] * self.joint_sd[FEED]
-        expected = design @ self.covariance @ design.T + select @ covariance_mm2 @ select.T + np.outer(fed, fed)
+        fed = move @ (manipulator.tool_jacobian(q) - manipulator.flange_jacobian(q)) * self.joint_sd
+        expected = design @ self.covariance @ design.T + select @ covariance_mm2 @ select.T + fed @ fed.T
         _refuse_disagreement(residual, expected, tip - known.translation)
         gain = np.linalg.solve(expected, design @ self.covariance).T
         shift, covariance = gain @ residual, self.covariance - gain @ design @ self.covariance
         frame, wire = (RigidTransform.from_exp_coords(shift[block]) for block in (_FRAME, _WIRE))
-        tool, screws = wire * manipulator.T_flange_tool, manipulator.axes.copy()
-        screws[FEED, 3:] = (manipulator.T_mcs_flange_home * tool).rotation.apply([0.0, 0.0, 1.0])
-        held = frame * manipulator.T_flange_cfcs
-        corrected = replace(manipulator, axes=screws, T_flange_cfcs=held, T_flange_tool=tool)
+        corrected = manipulator.with_mounts(frame * manipulator.T_flange_cfcs, wire * manipulator.T_flange_tool)
         return CalibratedRobot(corrected, (covariance + covariance.T) / 2, self.compliance_sd)
 
     def wire_against_frame(self, imaged: np.ndarray, drilling: np.ndarray, xyz_mm: np.ndarray) -> dict[str, np.ndarray]:
         """Return for each of SOURCES the covariance (3N, 3N) mm² of points (N, 3) MCS of the wire at the joints
-        `drilling` (5,), relative to a patient located in the frame at the joints `imaged` (5,).
+        `drilling` (n,), relative to a patient located in the frame at the joints `imaged` (n,).
 
         Errors common to both poses cancel: at the same joints the axes cancel and the mounts remain.
         """
         move = displacement(xyz_mm).reshape(-1, 6)
         wire, frame = self._to_flange(drilling), self._to_flange(imaged)
-        axes = move @ (self._axes_jacobian(drilling) - self._axes_jacobian(imaged))
+        axes = move @ (self.manipulator.axes_jacobian(drilling) - self.manipulator.axes_jacobian(imaged))
         # What the wire's mount shares with the frame's (`with_wire_seen`) is counted with the frame's.
         follows = self.covariance[_WIRE, _FRAME] @ np.linalg.pinv(self.covariance[_FRAME, _FRAME], hermitian=True)
         own = self.covariance[_WIRE, _WIRE] - follows @ self.covariance[_FRAME, _WIRE]
@@ -213,8 +209,8 @@ class CalibratedRobot:
     def frame_moved(
         self, imaged: np.ndarray, now: np.ndarray, about_mm: np.ndarray
     ) -> tuple[RigidTransform, np.ndarray]:
-        """Return how a patient at rest moved in the frame's coordinates since the joints `imaged` (5,), if the frame is
-        on its mount again at the joints `now` (5,).
+        """Return how a patient at rest moved in the frame's coordinates since the joints `imaged` (n,), if the frame is
+        on its mount again at the joints `now` (n,).
 
         The motion maps CFCS then to CFCS now. Its covariance (6, 6) is that of a rotation about the point `about_mm`
         (3,), CFCS then, and of a shift there; axes of CFCS now, rad and mm. Errors common to both poses cancel;
@@ -223,7 +219,7 @@ class CalibratedRobot:
         manipulator = self.manipulator
         then, stood = manipulator.T_mcs_cfcs(imaged), manipulator.T_mcs_cfcs(now)
         turned = self._to_flange(now) - self._to_flange(imaged)
-        axes = self._axes_jacobian(now) - self._axes_jacobian(imaged)
+        axes = manipulator.axes_jacobian(now) - manipulator.axes_jacobian(imaged)
         unseen, remount = np.diag(self.compliance_sd**2), adjoint(stood) * REMOUNT_SD
         twist = axes @ self.covariance[_AXES, _AXES] @ axes.T
         twist += turned @ self.covariance[_FRAME, _FRAME] @ turned.T + remount @ remount.T
@@ -237,16 +233,13 @@ class CalibratedRobot:
 
     @cached_property
     def joint_sd(self) -> np.ndarray:
-        """(5,): standard deviation of a joint's position from encoder resolution and backlash, both uniform; mm,
+        """(n,): standard deviation of a joint's position from encoder resolution and backlash, both uniform; mm,
         rad."""
         return np.hypot(self.manipulator.resolution, self.manipulator.backlash) / np.sqrt(12)
 
     def _to_flange(self, q: np.ndarray) -> np.ndarray:
         """Return the matrix (6, 6) that maps a twist in flange coordinates to MCS."""
         return adjoint(self.manipulator.T_mcs_flange(q))
-
-    def _axes_jacobian(self, q: np.ndarray) -> np.ndarray:
-        return self.manipulator.flange_parameter_jacobian(q)[:, _AXES]
 
     def _of_joints(self, move: np.ndarray, q: np.ndarray, *, feed: bool) -> np.ndarray:
         moved = self.manipulator.tool_jacobian(q) if feed else self.manipulator.flange_jacobian(q)
@@ -265,7 +258,7 @@ def _refuse_disagreement(residual: np.ndarray, covariance: np.ndarray, tip_off_m
 
 
 def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarray, sd_mm: float) -> CalibratedAxes:
-    """Return the four arm axes from M targets on the flange, measured at N joint positions `q` (N, 5): (N, M, 3) mm,
+    """Return the axes of the arm from M targets on the flange, measured at N joint positions `q` (N, n): (N, M, 3) mm,
     MCS.
 
     `sd_mm`: standard deviation of a measured target, per axis. The positions of the targets on the flange are estimated
@@ -274,14 +267,16 @@ def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarr
     """
     q, measured = np.asarray(q, dtype=np.float64), np.asarray(targets_mm, dtype=np.float64)
     if measured.ndim != 3 or measured.shape[::2] != (len(q), 3) or not np.isfinite(measured).all() or sd_mm <= 0:
-        raise UnusableInputError("measured targets must be finite numbers (N, M, 3), for joint positions (N, 5)")
+        raise UnusableInputError("measured targets must be finite numbers (N, M, 3), for joint positions (N, n)")
     n, m = measured.shape[:2]
-    known = np.tile(1 / MACHINED_SD, ARM_JOINTS)
+    known = np.tile(1 / MACHINED_SD, manipulator.arm_joints)
     if 3 * n * m <= 3 * m + len(known):
-        raise UnusableInputError(f"{n} poses of {m} targets do not determine four axes; measure more poses")
+        raise UnusableInputError(
+            f"{n} poses of {m} targets do not determine {manipulator.arm_joints} axes; measure more poses"
+        )
     twists, places = np.zeros(len(known)), manipulator.T_mcs_flange(q[0]).inv().apply(measured[0])
     for _ in range(_MAX_ITERATIONS):
-        now = _displaced(manipulator, twists)
+        now = manipulator.displaced(twists)
         pose = now.T_mcs_flange(q)
         expected = np.stack([pose.apply(place) for place in places], axis=1)
         residual = (measured - expected) / sd_mm
@@ -299,17 +294,11 @@ def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarr
     return CalibratedAxes(now, covariance, sd_mm * np.linalg.norm(residual, axis=-1))
 
 
-def _displaced(manipulator: Manipulator, twists: np.ndarray) -> Manipulator:
-    return manipulator.displaced(np.pad(twists.reshape(ARM_JOINTS, 6), ((0, 2), (0, 0))))
-
-
 def _target_design(manipulator: Manipulator, q: np.ndarray, expected_mm: np.ndarray) -> np.ndarray:
-    """Return the design matrix (3NM, 24 + 3M): derivatives of the targets by the axes and by their places on the
+    """Return the design matrix (3NM, 6K + 3M): derivatives of the targets by the axes and by their places on the
     flange."""
     n, m = expected_mm.shape[:2]
-    of_axes = np.einsum(
-        "nmai,nij->nmaj", displacement(expected_mm), manipulator.flange_parameter_jacobian(q)[..., _AXES]
-    )
+    of_axes = np.einsum("nmai,nij->nmaj", displacement(expected_mm), manipulator.axes_jacobian(q))
     of_places = np.zeros((n, m, 3, m, 3))
     rotation = manipulator.T_mcs_flange(q).rotation.as_matrix()
     for target in range(m):

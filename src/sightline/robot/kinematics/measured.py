@@ -1,14 +1,14 @@
 """The robot's file: its calibration, its identity, and its pose at the images."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields
 from datetime import UTC, datetime, timedelta
 from json import JSONDecodeError, loads
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from scipy.spatial.transform import RigidTransform
 
 from sightline.common.atomic import write_whole
@@ -23,7 +23,8 @@ from sightline.robot.kinematics.calibrated import (
     measured_axis,
     measured_mount,
 )
-from sightline.robot.kinematics.manipulator import nominal_manipulator
+from sightline.robot.kinematics.designs import DESIGNS, Design, nominal_manipulator
+from sightline.robot.kinematics.manipulator import Capsule, Manipulator
 from sightline.robot.kinematics.target import LIFETIME_S, PoseAtImage, Registration, register
 
 CALIBRATION_DAYS = 90  # validity of a calibration: a knock on the flange goes unnoticed [ours]
@@ -34,7 +35,8 @@ Positive = Annotated[float, Field(allow_inf_nan=False, gt=0, le=10)]
 Serial = Annotated[str, Field(min_length=1, max_length=80)]
 Side = Literal["right", "left"]
 Coordinates = tuple[Number, Number, Number]
-Joints = tuple[Number, Number, Number, Number, Number]
+MAX_JOINTS = 12  # [ours]
+Joints = Annotated[list[Number], Field(min_length=1, max_length=MAX_JOINTS)]
 Row4 = tuple[Number, Number, Number, Number]
 Pose = tuple[Row4, Row4, Row4, Row4]
 Twist = tuple[Number, Number, Number, Number, Number, Number]
@@ -45,7 +47,7 @@ class _Part(BaseModel):
 
 
 class AxesPart(_Part):
-    """Targets on the flange, measured at several joint positions: `q` (N, 5) and `targets_mm` (N, M, 3), MCS."""
+    """Targets on the flange, measured at several joint positions: `q` (N, n) and `targets_mm` (N, M, 3), MCS."""
 
     sd_mm: Positive
     q: Annotated[list[Joints], Field(max_length=500)]
@@ -75,6 +77,7 @@ class Measurements(_Part):
     robot_serial: Serial
     frame_serial: Serial
     side: Side
+    arm: Design = "manipulator"
     measured_on: datetime
     axes: AxesPart
     frame: FramePart
@@ -86,13 +89,64 @@ class Measurements(_Part):
         return _read(file, Measurements)
 
 
-class ManipulatorPart(_Part):
-    """Screw axes at q = 0 (5, 6), and poses (4, 4): the flange at q = 0 in MCS, frame and wire on the flange."""
+class CapsulePart(_Part):
+    """A `Capsule`."""
 
-    axes: tuple[Twist, Twist, Twist, Twist, Twist]
+    name: Annotated[str, Field(max_length=80)]
+    joints: Annotated[int, Field(ge=0, le=MAX_JOINTS)]
+    ends_mm: tuple[Coordinates, Coordinates]
+    radius_mm: Annotated[float, Field(allow_inf_nan=False, gt=0, le=1e4)]
+
+
+class ManipulatorPart(_Part):
+    """The fields of a `Manipulator`: joints from base to flange, poses (4, 4), values per joint in mm or rad.
+    `column_stiffness` None: the base does not bend."""
+
+    joints: Annotated[
+        list[Annotated[str, Field(min_length=1, max_length=80)]], Field(min_length=1, max_length=MAX_JOINTS)
+    ]
+    axes: Annotated[list[Twist], Field(min_length=1, max_length=MAX_JOINTS)]
+    has_feed: bool
     T_mcs_flange_home: Pose
     T_flange_cfcs: Pose
     T_flange_tool: Pose
+    lower: Joints
+    upper: Joints
+    speed: Joints
+    acceleration: Joints
+    resolution: Joints
+    backlash: Joints
+    stiffness: Annotated[list[Annotated[float, Field(gt=0)]], Field(max_length=MAX_JOINTS)]
+    column_stiffness: Annotated[float, Field(gt=0)] | None
+    parts: Annotated[list[CapsulePart], Field(max_length=100)]
+
+    @staticmethod
+    def of(manipulator: Manipulator) -> dict[str, Any]:
+        """Return an arm's description as JSON values."""
+        values = {field.name: getattr(manipulator, field.name) for field in fields(Manipulator)}
+        for name, value in values.items():
+            if isinstance(value, RigidTransform):
+                values[name] = value.as_matrix().tolist()
+            elif isinstance(value, np.ndarray):
+                values[name] = value.tolist()
+        parts = [{**vars(part), "ends_mm": np.asarray(part.ends_mm).tolist()} for part in manipulator.parts]
+        stiff = manipulator.column_stiffness
+        return {**values, "parts": parts, "column_stiffness": stiff if np.isfinite(stiff) else None}
+
+    def manipulator(self) -> Manipulator:
+        """Return the arm. Raises UnusableInputError."""
+        values: dict[str, Any] = {name: np.array(value) for name, value in self if isinstance(value, list)}
+        if any(len(value) != len(self.joints) for name, value in values.items() if name != "parts"):
+            raise UnusableInputError("its joints, axes and limits differ in number")
+        poses = (
+            ("T_mcs_flange_home", "flange", self.T_mcs_flange_home),
+            ("T_flange_cfcs", "frame on the flange", self.T_flange_cfcs),
+            ("T_flange_tool", "wire on the flange", self.T_flange_tool),
+        )
+        values |= {name: _rigid(what, pose) for name, what, pose in poses}
+        parts = tuple(Capsule(part.name, part.joints, np.array(part.ends_mm), part.radius_mm) for part in self.parts)
+        values |= {"joints": tuple(self.joints), "has_feed": self.has_feed, "parts": parts}
+        return Manipulator(**values, column_stiffness=self.column_stiffness or np.inf)
 
 
 class ImagePart(_Part):
@@ -111,25 +165,33 @@ class WireSeenPart(_Part):
 
 
 class RobotFile(_Part):
-    """A calibrated robot as stored. `covariance` (36, 36) as in `CalibratedRobot`; `images`: its joints, by view.
+    """A calibrated robot as stored. `covariance` as in `CalibratedRobot`; `images`: its joints, by view. Of version 1,
+    which knew the manipulator alone, what is missing is as designed.
 
     `frame`: fingerprint of the file of the frame whose mount was measured, "" if it was not stated. `wire_seen`: the
     wire in those images, which corrects the mounts of frame and wire for plans made on them; None: encoders alone.
     """
 
-    schema_: Annotated[Literal["sightline-robot/1"], Field(alias="schema")] = "sightline-robot/1"
+    schema_: Annotated[Literal["sightline-robot/2"], Field(alias="schema")] = "sightline-robot/2"
     robot_serial: Serial
     frame_serial: Serial
     frame: Annotated[str, Field(max_length=200)] = ""
     side: Side
     measured_on: datetime
     manipulator: ManipulatorPart
-    covariance: Annotated[
-        list[Annotated[list[Number], Field(min_length=36, max_length=36)]], Field(min_length=36, max_length=36)
-    ]
+    covariance: Annotated[list[Annotated[list[Number], Field(max_length=100)]], Field(max_length=100)]
     compliance_sd: Twist
     images: dict[Literal["pa", "lateral"], ImagePart] = {}
     wire_seen: WireSeenPart | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_version_1(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or data.get("schema") != "sightline-robot/1":
+            return data
+        side, part = data.get("side"), data.get("manipulator")
+        known = ManipulatorPart.of(nominal_manipulator(side)) if side in ("right", "left") else {}
+        return {**data, "schema": "sightline-robot/2", "manipulator": known | part if isinstance(part, dict) else part}
 
     @staticmethod
     def calibrated(measurements: Measurements) -> "tuple[RobotFile, dict[str, float]]":
@@ -137,8 +199,8 @@ class RobotFile(_Part):
 
         Raises UnusableInputError, and RobotRefusedError for measurements that contradict each other."""
         axes = calibrate_axes(
-            nominal_manipulator(measurements.side),
-            np.array(measurements.axes.q),
+            DESIGNS[measurements.arm](measurements.side),
+            _even(measurements.axes.q),
             _even(measurements.axes.targets_mm),
             measurements.axes.sd_mm,
         )
@@ -149,20 +211,16 @@ class RobotFile(_Part):
             np.array(measurements.wire.feed_mm), np.array(measurements.wire.tip_flange_mm), measurements.wire.sd_mm
         )
         robot = CalibratedRobot.of(axes, frame, wire)
-        poses = {
-            name: getattr(robot.manipulator, name).as_matrix().tolist()
-            for name in ("T_mcs_flange_home", "T_flange_cfcs", "T_flange_tool")
-        }
         file = RobotFile.model_validate(
             {
                 "robot_serial": measurements.robot_serial,
                 "frame_serial": measurements.frame_serial,
                 "side": measurements.side,
                 "measured_on": measurements.measured_on,
-                "manipulator": {"axes": robot.manipulator.axes.tolist(), **poses},
+                "manipulator": ManipulatorPart.of(robot.manipulator),
                 "covariance": robot.covariance.tolist(),
                 "compliance_sd": robot.compliance_sd.tolist(),
-                "schema": "sightline-robot/1",
+                "schema": "sightline-robot/2",
             }
         )
         return file, {"axes": _rms(axes), "frame": _rms(frame), "wire": _rms(wire)}
@@ -183,18 +241,12 @@ class RobotFile(_Part):
 
     def robot(self) -> CalibratedRobot:
         """Return the calibrated robot. Raises UnusableInputError."""
-        part, nominal = self.manipulator, nominal_manipulator(self.side)
-        manipulator = replace(
-            nominal,
-            axes=np.array(part.axes),
-            T_mcs_flange_home=_rigid("flange", part.T_mcs_flange_home),
-            T_flange_cfcs=_rigid("frame on the flange", part.T_flange_cfcs),
-            T_flange_tool=_rigid("wire on the flange", part.T_flange_tool),
-        )
-        covariance = np.array(self.covariance)
-        if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=1e-15):
+        covariance = _even(self.covariance)
+        if covariance.shape != covariance.shape[::-1] or not np.allclose(
+            covariance, covariance.T, rtol=1e-9, atol=1e-15
+        ):
             raise UnusableInputError("its covariance is not symmetric")
-        return CalibratedRobot(manipulator, covariance, np.array(self.compliance_sd))
+        return CalibratedRobot(self.manipulator.manipulator(), covariance, np.array(self.compliance_sd))
 
     def of_frame(self, serial: str | None, fingerprint: str) -> "RobotFile":
         """Return the robot's file with the fingerprint of its frame's file, whose serial must be the measured one.
@@ -228,15 +280,17 @@ class RobotFile(_Part):
         Images on which a plan would have expired are dropped. So are images dated in the future: the clock was set back
         since, so their age is unknown. Raises RobotRefusedError for impossible joints, and for a robot that moved since
         the other image."""
-        if q.shape != (5,) or not np.isfinite(q).all():
-            raise UnusableInputError("the robot's pose at an image needs five finite joint positions: docs/robot.md")
-        joints: Any = tuple(q.tolist())
+        count = len(self.manipulator.joints)
+        if q.shape != (count,) or not np.isfinite(q).all():
+            raise UnusableInputError(
+                f"the robot's pose at an image needs {count} finite joint positions: docs/robot.md"
+            )
         kept = {
             name: image
             for name, image in self.images.items()
             if 0.0 <= now_s - image.read_s < LIFETIME_S and name != view
         }
-        image = ImagePart(q=joints, read_s=now_s, source=source)
+        image = ImagePart(q=q.tolist(), read_s=now_s, source=source)
         updated = self.model_copy(update={"images": {**kept, view: image}, "wire_seen": None})
         updated._registration()
         return updated
@@ -316,9 +370,9 @@ def _read(file: Path, model: type[Any]) -> Any:
         raise UnusableInputError(f"{file.name} is not JSON: {str(error)[:200]}") from None
 
 
-def _even(rows: list[list[Coordinates]]) -> np.ndarray:
+def _even(rows: list[list[Any]]) -> np.ndarray:
     if len({len(row) for row in rows}) != 1:
-        raise UnusableInputError("the same targets must be measured at every position of the joints")
+        raise UnusableInputError("every position needs the same joints, with the same targets measured")
     return np.array(rows)
 
 

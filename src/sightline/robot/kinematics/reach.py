@@ -4,7 +4,7 @@ The robot is modelled by capsules, its surroundings by boxes; distances between 
 out: they are meant to touch the patient.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,23 +14,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.common.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.robot.kinematics.calibrated import REMOUNT_SD
-from sightline.robot.kinematics.manipulator import ARM_JOINTS, JOINTS, ROTARY, Manipulator, describe_excess
+from sightline.robot.kinematics.manipulator import Capsule, Manipulator
 
 CLEARANCE_MM = 5.0  # least clearance: allows for drapes and a registration error of a millimetre [ours]
 REMOUNT_LIMIT_MM = 2.0 * float(REMOUNT_SD[3])  # 0.1 mm: repeatability of a remounted frame
 STEP_MM = 2.0  # largest movement of any point of the robot between two checked positions
-_LEVER_MM = 700.0  # more than the distance from the wrist to the frame's furthest corner
-
-
-@dataclass(frozen=True, eq=False)
-class Capsule:
-    """A part of the robot as a capsule: all points within `radius_mm` of a segment `ends_mm` (2, 3), flange coordinates
-    at q = 0. The first `joints` joints move it."""
-
-    name: str
-    joints: int
-    ends_mm: np.ndarray
-    radius_mm: float
+# Positions at which the length of a way is measured, and allowance for its arcs being longer than their chords [ours]:
+# 0.5 % for 20° between two.
+_COARSE, _CHORD = 17, 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +43,6 @@ class Surroundings:
     remount_mm: float | None = None
 
 
-# The machine as drawn in docs/robot.md, flange coordinates: z along the wire, y up [ours]. The drill's body ends 200 mm
-# behind the tip, the length of the wire [paper].
-MACHINE = (
-    Capsule("column", 0, np.array([[0.0, -600.0, -220.0], [0.0, 200.0, -220.0]]), 80.0),
-    Capsule("arm", 2, np.array([[0.0, 0.0, -200.0], [0.0, 0.0, 0.0]]), 60.0),
-    Capsule("slide", ARM_JOINTS, np.array([[0.0, -40.0, -120.0], [0.0, -40.0, 120.0]]), 45.0),
-    Capsule("drill", len(JOINTS), np.array([[0.0, -40.0, -110.0], [0.0, -40.0, -40.0]]), 35.0),
-    Capsule("chuck", len(JOINTS), np.array([[0.0, -40.0, -40.0], [0.0, -40.0, 55.0]]), 15.0),
-)
 # Rims of the Γ frame's plates, CFCS: distance from the hip, half-edge; half their thickness (docs/frame-file.md).
 PLATES_MM = ((150.0, 64.0), (300.0, 74.0))
 PLATE_RADIUS_MM = 4.0
@@ -94,15 +76,15 @@ def hip_surroundings(
 
 
 def check_reach(robot: Manipulator, waypoints: np.ndarray, surroundings: Surroundings) -> tuple[Check, ...]:
-    """Return the checks of a path through joint positions (K, 5), straight between them: joint limits, clearance to
+    """Return the checks of a path through joint positions (K, n), straight between them: joint limits, clearance to
     each obstacle, and whether a remounted frame repeats its place. Raises UnusableInputError."""
     waypoints = np.asarray(waypoints, dtype=np.float64)
-    if waypoints.ndim != 2 or waypoints.shape[1] != len(JOINTS) or not np.isfinite(waypoints).all():
-        raise UnusableInputError(f"a path is one or more positions of {len(JOINTS)} finite joints")
-    path = between(waypoints)
-    capsules = [*MACHINE, *(frame_capsules(robot) if surroundings.frame_mounted else ())]
+    if waypoints.ndim != 2 or waypoints.shape[1] != robot.count or not np.isfinite(waypoints).all():
+        raise UnusableInputError(f"a path is one or more positions of {robot.count} finite joints")
+    capsules = [*robot.parts, *(frame_capsules(robot) if surroundings.frame_mounted else ())]
+    path = between(robot, waypoints, capsules)
     names = dict.fromkeys(obstacle.name for obstacle in surroundings.obstacles)
-    axes = _axes(robot, path, capsules)
+    axes = part_axes(robot, path, capsules)
     return (
         _limits(robot, path),
         *(_clearance(name, [o for o in surroundings.obstacles if o.name == name], capsules, axes) for name in names),
@@ -124,17 +106,19 @@ def segment_to_box_mm(ends_mm: np.ndarray, half_mm: np.ndarray) -> np.ndarray:
     return np.linalg.norm(at - np.clip(at, -half_mm, half_mm), axis=-1)
 
 
-def between(waypoints: np.ndarray) -> np.ndarray:
-    """Return the path (N, 5): the waypoints, with positions between them at most STEP_MM apart."""
+def between(robot: Manipulator, waypoints: np.ndarray, capsules: Sequence[Capsule]) -> np.ndarray:
+    """Return the path (N, n): the waypoints (K, n), with positions between them so close that no end of a capsule moves
+    by more than STEP_MM."""
     path = [waypoints[:1]]
     for start, end in pairwise(waypoints):
-        far = np.abs(end - start) @ np.where(ROTARY, _LEVER_MM, 1.0)
-        steps = int(np.ceil(far / STEP_MM)) or 1
+        coarse = start + np.linspace(0.0, 1.0, _COARSE)[:, None] * (end - start)
+        moved = np.linalg.norm(np.diff(part_axes(robot, coarse, capsules), axis=0), axis=-1).sum(axis=0)
+        steps = int(np.ceil(_CHORD * moved.max(initial=0.0) / STEP_MM)) or 1
         path.append(start + np.arange(1, steps + 1)[:, None] / steps * (end - start))
     return np.concatenate(path)
 
 
-def _axes(robot: Manipulator, path: np.ndarray, capsules: list[Capsule]) -> np.ndarray:
+def part_axes(robot: Manipulator, path: np.ndarray, capsules: Sequence[Capsule]) -> np.ndarray:
     """Return the capsules' axes (N, P, 2, 3), MCS, at every position."""
     stages = robot.stages(path)
     home = robot.T_mcs_flange_home
@@ -153,14 +137,16 @@ def frame_capsules(robot: Manipulator) -> Iterable[Capsule]:
         for plate in (pa, pa[:, [2, 0, 1]]):  # across Z, across X
             on_flange = robot.T_flange_cfcs.apply(plate)
             for first, second in ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)):
-                yield Capsule("frame", ARM_JOINTS, on_flange[[first, second]], PLATE_RADIUS_MM)
+                yield Capsule("frame", robot.arm_joints, on_flange[[first, second]], PLATE_RADIUS_MM)
 
 
 def _limits(robot: Manipulator, path: np.ndarray) -> Check:
     beyond = robot.beyond_limits(path)
     worst = [int(np.argmax(np.abs(column))) for column in beyond.T]
     excesses = [
-        describe_excess(j, path[worst[j], j], beyond[worst[j], j]) for j in range(len(JOINTS)) if beyond[worst[j], j]
+        robot.describe_excess(j, path[worst[j], j], beyond[worst[j], j])
+        for j in range(robot.count)
+        if beyond[worst[j], j]
     ]
     if excesses:
         return Check("joint limits", False, None, None, "", f"On its way {'; '.join(excesses)}: move the robot's base.")

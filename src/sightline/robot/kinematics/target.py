@@ -16,7 +16,6 @@ from sightline.common.checks import CLEAR_MM, Check, Limits, error_check
 from sightline.common.geometry.covariance import both_within, length_quantile, line_direction
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.kinematics.calibrated import CalibratedRobot
-from sightline.robot.kinematics.manipulator import FEED, JOINTS, describe_excess, fed
 
 # The frame must not move between the images. A larger difference in its origin or direction than this is a movement,
 # not the encoders' resolution [ours].
@@ -100,7 +99,7 @@ def pause_depth(depth_mm: float, limits: Limits) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PoseAtImage:
-    """Encoder readings for one image: joints `q` (5,) read at `read_s`, image acquired at `imaged_s`, in seconds of the
+    """Encoder readings for one image: joints `q` (n,) read at `read_s`, image acquired at `imaged_s`, in seconds of the
     same clock."""
 
     q: np.ndarray
@@ -110,7 +109,7 @@ class PoseAtImage:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Pose of the frame at the images. `T_mcs_cfcs`: from the mean joints `q` (5,) of all images, which hardly differ;
+    """Pose of the frame at the images. `T_mcs_cfcs`: from the mean joints `q` (n,) of all images, which hardly differ;
     `of_view`: from each view's own joints; `imaged_s`: time of the last image."""
 
     robot: CalibratedRobot
@@ -123,9 +122,9 @@ class Registration:
 def register(robot: CalibratedRobot, poses: Mapping[str, PoseAtImage]) -> Registration:
     """Return the registration from the pose at each image, by view.
 
-    Raises UnusableInputError without poses, and for a pose without five finite joint values or with a time that is not
-    finite; RobotRefusedError for a pose that is stale or beyond the joint limits, and for a robot that moved between
-    the images.
+    Raises UnusableInputError without poses, and for a pose whose joints or times are not all finite;
+    RobotRefusedError for a pose that is stale or beyond the joint limits, and for a robot that moved between the
+    images.
     """
     if not poses:
         raise UnusableInputError(
@@ -151,10 +150,11 @@ def register(robot: CalibratedRobot, poses: Mapping[str, PoseAtImage]) -> Regist
 
 def _refuse_unusable(robot: CalibratedRobot, view: str, pose: PoseAtImage) -> None:
     finite, age_s = int(np.isfinite(pose.q).sum()), abs(pose.read_s - pose.imaged_s)
-    if np.shape(pose.q) != (len(JOINTS),) or finite < len(JOINTS):
+    manipulator = robot.manipulator
+    if np.shape(pose.q) != (manipulator.count,) or finite < manipulator.count:
         raise UnusableInputError(
             f"acquire the images again with the robot connected: the pose at the {view} image has {finite} finite "
-            f"joint values ({len(JOINTS)} needed)"
+            f"joint values ({manipulator.count} needed)"
         )
     if not np.isfinite(age_s):
         raise UnusableInputError(f"acquire the {view} image again: its time or the time of its pose is not finite")
@@ -163,9 +163,11 @@ def _refuse_unusable(robot: CalibratedRobot, view: str, pose: PoseAtImage) -> No
             f"check that robot and images share a clock, and acquire the {view} image again: the robot's pose was read "
             f"{age_s:.2f} s from it (at most {FRESH_S:g} s)"
         )
-    beyond = robot.manipulator.beyond_limits(pose.q)
+    beyond = manipulator.beyond_limits(pose.q)
     if beyond.any():
-        joints = [describe_excess(j, pose.q[j], beyond[j], "is at") for j in np.flatnonzero(beyond).tolist()]
+        joints = [
+            manipulator.describe_excess(j, pose.q[j], beyond[j], "is at") for j in np.flatnonzero(beyond).tolist()
+        ]
         raise RobotRefusedError(
             "load this robot's calibration, or home the robot; then acquire both images again: at the "
             f"{view} image {'; '.join(joints)}"
@@ -191,7 +193,7 @@ class PlanIdentity:
 
 @dataclass(frozen=True, eq=False)
 class RobotTarget:
-    """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (5,) with the tip at the entry point, and its
+    """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (n,) with the tip at the entry point, and its
     expiry time. `covariance_mm2` (6, 6): of (entry, end) of the wire in the bone, which includes errors that the
     encoders cannot see. `budget_mm2`: the share of each source, of planning and of the robot. `limits`: the plan's."""
 
@@ -215,11 +217,16 @@ class RobotTarget:
         """Depth of the tip beyond the entry point when drilled, mm: past the end point if the plan says so."""
         return self.length_mm + self.limits.beyond_mm
 
+    def depth_at(self, q: np.ndarray) -> float:
+        """Return the depth of the tip beyond the entry point at the joints `q` (n,) on the target's line, mm."""
+        feed = self.registration.robot.manipulator.feed
+        return float(q[feed] - self.q[feed])
+
     @property
     def T_cfcs_wire(self) -> RigidTransform:
         """Pose of the wire when it is drilled, CFCS, +z towards the tip; its rotation about +z is the robot's own."""
         manipulator = self.registration.robot.manipulator
-        return self.registration.T_mcs_cfcs.inv() * manipulator.T_mcs_tool(fed(self.q, self.depth_mm))
+        return self.registration.T_mcs_cfcs.inv() * manipulator.T_mcs_tool(manipulator.fed(self.q, self.depth_mm))
 
     @cached_property
     def entry_error_95_mm(self) -> float:
@@ -309,9 +316,10 @@ def robot_target(
         raise RobotRefusedError("the plan's error is unknown: a view states no covariance; calibrate both from beads")
     entry, end = registration.T_mcs_cfcs.apply(points)
     robot = registration.robot
-    q = robot.manipulator.inverse(entry, end)
-    q_end = fed(q, float(np.linalg.norm(end - entry)) + limits.beyond_mm)
-    if short := robot.manipulator.beyond_limits(q_end)[FEED]:
+    manipulator = robot.manipulator
+    q = manipulator.inverse(entry, end)
+    q_end = manipulator.fed(q, float(np.linalg.norm(end - entry)) + limits.beyond_mm)
+    if short := manipulator.beyond_limits(q_end)[manipulator.feed]:
         raise RobotRefusedError(
             f"the feed ends {short:.1f} mm before the planned depth; bring the robot's base nearer, or plan a shorter "
             "wire"

@@ -122,7 +122,7 @@ class Telemetry:
         return contract.CURRENT_POSITION, Transform(registration.T_mcs_cfcs.inv().as_matrix() @ tool)
 
     def joints(self, now: Snapshot) -> NamedBody:
-        """Return (6, 5): position, velocity, commanded position, commanded velocity, lower and upper limit; mm, rad."""
+        """Return (6, n): position, velocity, commanded position, commanded velocity, lower and upper limit; mm, rad."""
         lower, upper = self.machine.robot.manipulator.lower, self.machine.robot.manipulator.upper
         rows = np.stack([now.reading.encoders, now.velocity, now.wanted, now.commanded, lower, upper])
         return contract.MEASURED_JS, NDArray(rows)

@@ -126,7 +126,7 @@ class Recorder:
 @dataclass(frozen=True, eq=False)
 class SimulatedWire:
     """`wire_mm` (3, 3) MCS: current points of the wire's axis at the guide's mouth, at the bone (else halfway), and at
-    the tip. `T_mcs_cfcs`: true pose of the frame at the images; `imaged` (5,): the encoders then."""
+    the tip. `T_mcs_cfcs`: true pose of the frame at the images; `imaged` (n,): the encoders then."""
 
     wire_mm: np.ndarray
     T_mcs_cfcs: RigidTransform
@@ -152,6 +152,6 @@ class SimulatedWire:
         except (JSONDecodeError, KeyError, TypeError, ValueError) as error:
             raise UnusableInputError("this text does not describe a simulated wire") from error
         finite = all(np.isfinite(value).all() for value in (wire, frame, imaged))
-        if not finite or (wire.shape, frame.shape, imaged.shape) != ((3, 3), (4, 4), (5,)):
-            raise UnusableInputError("a simulated wire is three finite points, a pose and five joints")
+        if not finite or (wire.shape, frame.shape, imaged.ndim) != ((3, 3), (4, 4), 1):
+            raise UnusableInputError("a simulated wire is three finite points, a pose and the joints")
         return SimulatedWire(wire, RigidTransform.from_matrix(frame), imaged)

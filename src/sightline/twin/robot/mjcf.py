@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import SetUpError
-from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, JOINTS, ROTARY, Manipulator
+from sightline.robot.kinematics.manipulator import Manipulator
 
 M = 1e-3  # a millimetre
 STEP_S = 0.001
@@ -54,17 +54,16 @@ def mjcf(robot: Manipulator, build: Build) -> str:
     Sites: `flange`, `cfcs`, `tool`. Raises SetUpError for springs that are too stiff for the time step.
     """
     home = robot.T_mcs_flange_home
-    sites = {
-        ARM_JOINTS - 1: _site("flange", home) + _site("cfcs", home * robot.T_flange_cfcs),
-        FEED: _site("tool", home * robot.T_flange_tool),
-    }
+    sites = [""] * robot.count
+    sites[robot.arm_joints - 1] = _site("flange", home) + _site("cfcs", home * robot.T_flange_cfcs)
+    sites[-1] += _site("tool", home * robot.T_flange_tool)
     inertia = _carried(robot, build)
     _check_stiffness(robot, build, inertia)
     bodies = ""
-    for joint in reversed(range(len(JOINTS))):
-        load = _inertial(*((build.weights[joint], build.frame) if joint == ARM_JOINTS - 1 else (build.weights[joint],)))
-        own = _joint(robot, build, joint, inertia[joint])
-        bodies = f'<body name="{JOINTS[joint]}-link">{load}{own}{sites.get(joint, "")}{bodies}</body>'
+    for joint in reversed(range(robot.count)):
+        held = (build.frame,) if joint == robot.arm_joints - 1 else ()
+        load, own = _inertial(build.weights[joint], *held), _joint(robot, build, joint, inertia[joint])
+        bodies = f'<body name="{robot.joints[joint]}-link">{load}{own}{sites[joint]}{bodies}</body>'
     # The column's damping is for the mass that it carries at its top.
     column = robot.column_stiffness / M
     damping = 2 * SPRING_DAMPING * float(np.sqrt(column * inertia[0]))
@@ -75,14 +74,14 @@ def mjcf(robot: Manipulator, build: Build) -> str:
 <worldbody><body name="column"><inertial pos="0 0 0.2" mass="20" diaginertia="1 1 1"/>
 <joint name="column" type="slide" axis="1 0 0" stiffness="{column!r}" damping="{damping!r}"/>
 {bodies}</body></worldbody>
-<tendon>{"".join(_play(robot, joint) for joint in range(len(JOINTS)))}</tendon>
-<actuator>{"".join(_drives(build, inertia))}</actuator>
+<tendon>{"".join(_play(robot, joint) for joint in range(robot.count))}</tendon>
+<actuator>{"".join(_drives(robot, build, inertia))}</actuator>
 </mujoco>"""
 
 
-def unit(joint: int) -> float:
-    """SI units per unit of a joint."""
-    return 1.0 if ROTARY[joint] else M
+def units(robot: Manipulator) -> np.ndarray:
+    """SI units (n,) per unit of each joint."""
+    return np.where(robot.rotary, 1.0, M)
 
 
 def _check_stiffness(robot: Manipulator, build: Build, inertia: list[float]) -> None:
@@ -91,22 +90,22 @@ def _check_stiffness(robot: Manipulator, build: Build, inertia: list[float]) -> 
         phase = np.sqrt(_spring(robot, joint) / reduced) * STEP_S
         if phase > MAX_PHASE:
             raise SetUpError(
-                f"the {JOINTS[joint]}'s spring of {robot.stiffness[joint]:g} oscillates by {phase:.1f} rad per time "
-                f"step (limit {MAX_PHASE:g}): make the spring softer or its load heavier"
+                f"the {robot.joints[joint]}'s spring of {robot.stiffness[joint]:g} oscillates by {phase:.1f} rad per "
+                f"time step (limit {MAX_PHASE:g}): make the spring softer or its load heavier"
             )
 
 
 def _spring(robot: Manipulator, joint: int) -> float:
     """Return the stiffness of a joint in N/m, or N m/rad."""
-    return float(robot.stiffness[joint]) * (M if ROTARY[joint] else 1 / M)
+    return float(robot.stiffness[joint]) * (M if robot.rotary[joint] else 1 / M)
 
 
 def _carried(robot: Manipulator, build: Build) -> list[float]:
     """Return the mass, kg, or inertia, kg m², that each joint moves at q = 0, without its drive."""
     carried = []
-    for joint in range(len(JOINTS)):
-        loads = [*build.weights[joint:], *([build.frame] if joint < ARM_JOINTS else [])]
-        if not ROTARY[joint]:
+    for joint in range(robot.count):
+        loads = [*build.weights[joint:], *([build.frame] if joint < robot.arm_joints else [])]
+        if not robot.rotary[joint]:
             carried.append(sum(load.kg for load in loads))
             continue
         axis, moment = robot.axes[joint, :3], robot.axes[joint, 3:]
@@ -117,39 +116,40 @@ def _carried(robot: Manipulator, build: Build) -> list[float]:
 
 def _joint(robot: Manipulator, build: Build, joint: int, inertia: float) -> str:
     axis = robot.axes[joint]
-    turning = bool(ROTARY[joint])
+    turning, unit = bool(robot.rotary[joint]), units(robot)[joint]
     direction = axis[:3] if turning else axis[3:]
     place = np.cross(axis[:3], axis[3:]) * M
     form = f'type="{"hinge" if turning else "slide"}" axis="{_row(direction)}" pos="{_row(place)}"'
     stop = HARD_STOP[turning]
-    low, high = (robot.lower[joint] - stop) * unit(joint), (robot.upper[joint] + stop) * unit(joint)
+    low, high = (robot.lower[joint] - stop) * unit, (robot.upper[joint] + stop) * unit
     force = build.drive_force[joint]
     damping = 2 * SPRING_DAMPING * np.sqrt(_spring(robot, joint) * inertia)
     limits = f'limited="true" range="{_row((low, high))}"'
     limits += f' actuatorfrclimited="true" actuatorfrcrange="{_row((-force, force))}"'
     return (
-        f'<joint name="{JOINTS[joint]}" {form} {limits} armature="{build.drive_inertia[joint]!r}"/>'
-        f'<joint name="{JOINTS[joint]}-behind" {form} damping="{float(damping)!r}"/>'
+        f'<joint name="{robot.joints[joint]}" {form} {limits} armature="{build.drive_inertia[joint]!r}"/>'
+        f'<joint name="{robot.joints[joint]}-behind" {form} damping="{float(damping)!r}"/>'
     )
 
 
 def _play(robot: Manipulator, joint: int) -> str:
     """Return a spring with a dead band: within its play the joint is free."""
-    half = float(robot.backlash[joint]) / 2 * unit(joint)
+    name, half = robot.joints[joint], float(robot.backlash[joint]) / 2 * units(robot)[joint]
     band = f'stiffness="{_spring(robot, joint)!r}" springlength="{_row((-half, half))}"'
-    return f'<fixed name="{JOINTS[joint]}-play" {band}><joint joint="{JOINTS[joint]}-behind" coef="1"/></fixed>'
+    return f'<fixed name="{name}-play" {band}><joint joint="{name}-behind" coef="1"/></fixed>'
 
 
-def _drives(build: Build, inertia: list[float]) -> list[str]:
+def _drives(robot: Manipulator, build: Build, inertia: list[float]) -> list[str]:
     """Return for each joint a loop on the integral of the commanded velocity, then for each a loop on the velocity."""
     pace, reach = 2 * np.pi * DRIVE_HZ, 10.0  # `reach` has no effect: the plant keeps the reference near the joint
     mass = [drive + load for drive, load in zip(build.drive_inertia, inertia, strict=True)]
     place = [
         f'<intvelocity joint="{joint}" kp="{float(kg * pace**2)!r}" actrange="{_row((-reach, reach))}"/>'
-        for joint, kg in zip(JOINTS, mass, strict=True)
+        for joint, kg in zip(robot.joints, mass, strict=True)
     ]
     return place + [
-        f'<velocity joint="{joint}" kv="{float(2 * kg * pace)!r}"/>' for joint, kg in zip(JOINTS, mass, strict=True)
+        f'<velocity joint="{joint}" kv="{float(2 * kg * pace)!r}"/>'
+        for joint, kg in zip(robot.joints, mass, strict=True)
     ]
 
 

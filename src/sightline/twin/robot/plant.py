@@ -10,11 +10,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
-from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag, Reading
 from sightline.twin.objects.things import WIRE_DIAMETER_MM
 from sightline.twin.robot.drilling import Bone, Wire, sensed
-from sightline.twin.robot.mjcf import STEP_S, Build, M, mjcf, unit
+from sightline.twin.robot.mjcf import STEP_S, Build, M, mjcf, units
 
 STEPS = round(CYCLE_S / STEP_S)
 SETTLE_S = 0.5  # time to come to rest under gravity
@@ -38,7 +38,7 @@ class SimulatedPlant:
     """A `Plant` with its own clock, which `advance` moves on. Methods named true_ return the true state, including what
     encoders cannot measure (play, springs, gravity, thrust, a bent wire): for evaluation, never for a controller.
 
-    `robot`: the true manipulator. `bone` None: the wire moves in air. `start` (5,): joints at time zero. `guide_mm`:
+    `robot`: the true manipulator. `bone` None: the wire moves in air. `start` (n,): joints at time zero. `guide_mm`:
     the feed at which the wire's tip is at the mouth of its guide, which a person pushes forward to the bone.
     `stop_pressed`, `run_held`: the hardware inputs. Raises SetUpError if MuJoCo is not installed or the start is beyond
     the limits.
@@ -57,12 +57,12 @@ class SimulatedPlant:
         self.guide_mm = GUIDE_MM
         self.stop_pressed, self.run_held = False, True
         self._rng = rng
-        at = np.zeros(len(JOINTS)) if start is None else np.asarray(start, dtype=np.float64)
+        at = np.zeros(robot.count) if start is None else np.asarray(start, dtype=np.float64)
         if not np.isfinite(at).all() or robot.beyond_limits(at).any():
             raise SetUpError("the plant must start within its joints' limits")
         self._body = _Body(robot, build or Build(), at)
         self._slowest = -robot.speed
-        self._goal, self._drill_on = np.zeros(len(JOINTS)), False
+        self._goal, self._drill_on = np.zeros(self.robot.count), False
         self._time_s, self._owed_s = 0.0, 0.0
         self._told_s = 0.0  # time of the last command
         if bone is not None:
@@ -74,16 +74,16 @@ class SimulatedPlant:
         return self._reading
 
     def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
-        """See Plant. Raises ValueError unless the velocities are five finite numbers."""
+        """See Plant. Raises ValueError unless there is a finite velocity for each joint."""
         velocity = np.asarray(joint_velocity, dtype=np.float64)
-        if velocity.shape != (len(JOINTS),) or not all(map(isfinite, velocity.tolist())):
-            raise ValueError("a command is five finite joint velocities")
+        if velocity.shape != (self.robot.count,) or not all(map(isfinite, velocity.tolist())):
+            raise ValueError(f"a command is {self.robot.count} finite joint velocities")
         self._goal = np.minimum(np.maximum(velocity, self._slowest), self.robot.speed)
         self._drill_on, self._told_s = drill_on, self._time_s
 
     def hold(self) -> None:
         """See Plant."""
-        self._goal, self._drill_on = np.zeros(len(JOINTS)), False
+        self._goal, self._drill_on = np.zeros(self.robot.count), False
 
     def meet(self, bone: Bone, diameter_mm: float = WIRE_DIAMETER_MM) -> None:
         """Mount a new wire in front of this bone."""
@@ -122,7 +122,7 @@ class SimulatedPlant:
     def true_wire_mm(self) -> np.ndarray:
         """Return three points (3, 3) of the wire: at its guide's mouth, where bone holds it (else halfway), its tip."""
         tool = self._body.pose("tool")
-        free = max(self._body.positions()[FEED] - self.guide_mm, 0.0)
+        free = max(self._body.positions()[self.robot.feed] - self.guide_mm, 0.0)
         mouth = tool.apply([0.0, 0.0, -free])
         tip = tool.translation if self.wire is None else self.wire.tip_mm
         held = None if self.wire is None else self.wire.entry_mm
@@ -135,7 +135,7 @@ class SimulatedPlant:
     def _cycle(self) -> None:
         if self._time_s - self._told_s > WATCHDOG_S - CYCLE_S / 2:
             self.hold()
-        goal = self._goal if self._may_move else np.zeros(len(JOINTS))
+        goal = self._goal if self._may_move else np.zeros(self.robot.count)
         overloaded, limited = self._body.drive(goal)
         self._time_s += CYCLE_S
         self._drill()
@@ -145,7 +145,7 @@ class SimulatedPlant:
         if self.wire is None:
             return
         tip, axes = self._body.tool()
-        free = self._body.positions()[FEED] - self.guide_mm
+        free = self._body.positions()[self.robot.feed] - self.guide_mm
         thrust = self.wire.step(tip, axes, free, self._drill_on and self._may_move, CYCLE_S)
         self._body.push(tip, -thrust * axes[2])
 
@@ -177,7 +177,7 @@ def _imported() -> ModuleType:
 class _Body:
     """The moving masses: MuJoCo's state, in mm and rad.
 
-    A cycle handles five numbers at a time: Python's lists compare them, and `np.minimum` limits them, in a third of
+    A cycle handles a few numbers at a time: Python's lists compare them, and `np.minimum` limits them, in a third of
     the time of numpy's `all`, `any` and `clip` or less.
     """
 
@@ -189,31 +189,31 @@ class _Body:
         braking = robot.speed**2 / (2 * robot.acceleration) + robot.speed * CYCLE_S  # longest stopping distance
         self._free = list(zip((robot.lower + braking).tolist(), (robot.upper - braking).tolist(), strict=True))
         self._ramp = robot.acceleration * STEP_S  # largest change of a velocity in one step
-        self._units = np.array([unit(joint) for joint in range(len(JOINTS))])
+        self._units = units(robot)
         # Each joint has one degree of freedom, so its index in positions is that in forces.
-        self._seen = np.array([self._model.joint(name).qposadr[0] for name in JOINTS])
-        self._behind = np.array([self._model.joint(f"{name}-behind").qposadr[0] for name in JOINTS])
+        self._seen = np.array([self._model.joint(name).qposadr[0] for name in robot.joints])
+        self._behind = np.array([self._model.joint(f"{name}-behind").qposadr[0] for name in robot.joints])
         self._force = np.array(build.drive_force)
         self._full: list[float] = (FULL_FORCE * self._force).tolist()
         self._site = {name: self._model.site(name).id for name in ("flange", "cfcs", "tool")}
-        self._fed = self._model.body("feed-link").id
-        self._pace = np.zeros(len(JOINTS))  # present command, mm/s and rad/s
+        self._fed = self._model.body(f"{robot.joints[-1]}-link").id
+        self._pace = np.zeros(robot.count)  # present command, mm/s and rad/s
         data = self._data
         # Views of MuJoCo's own memory: each look-up by name takes a microsecond.
         self._qpos, self._drive_force = data.qpos, data.qfrc_actuator
         self._tip, self._tip_axes = data.site_xpos[self._site["tool"]], data.site_xmat[self._site["tool"]].reshape(3, 3)
         self._fed_middle, self._fed_force = data.xipos[self._fed], data.xfrc_applied[self._fed]
-        self._control = data.ctrl[: len(JOINTS)], data.ctrl[len(JOINTS) :]
+        self._control = data.ctrl[: robot.count], data.ctrl[robot.count :]
         data.qpos[self._seen] = data.act[:] = start * self._units
         mujoco.mj_step(self._model, data, nstep=round(SETTLE_S / STEP_S))
         mujoco.mj_kinematics(self._model, data)
 
     def encoders(self) -> np.ndarray:
-        """Return the joints (5,) at their drives."""
+        """Return the joints (n,) at their drives."""
         return self._qpos[self._seen] / self._units
 
     def positions(self) -> np.ndarray:
-        """Return the true joints (5,), behind play and springs."""
+        """Return the true joints (n,), behind play and springs."""
         return (self._qpos[self._seen] + self._qpos[self._behind]) / self._units
 
     def tool(self) -> tuple[np.ndarray, np.ndarray]:
@@ -234,7 +234,7 @@ class _Body:
         self._fed_force[:] = (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)
 
     def drive(self, goal: np.ndarray) -> tuple[bool, bool]:
-        """Simulate one cycle towards joint velocities (5,); return whether a drive was overloaded, and whether a limit
+        """Simulate one cycle towards joint velocities (n,); return whether a drive was overloaded, and whether a limit
         was reached."""
         at = self.encoders()
         within = all(low < q < high for q, (low, high) in zip(at.tolist(), self._free, strict=True))
@@ -252,13 +252,13 @@ class _Body:
         force = self._drive_force[self._seen].tolist()
         overloaded = any(abs(newtons) > full for newtons, full in zip(force, self._full, strict=True))
         if overloaded:  # keep the reference near the joint
-            slack = self._force / self._model.actuator_gainprm[: len(JOINTS), 0]
+            slack = self._force / self._model.actuator_gainprm[: len(self._force), 0]
             data.act[:] = np.clip(data.act, self._qpos[self._seen] - slack, self._qpos[self._seen] + slack)
         self._mujoco.mj_kinematics(model, data)
         return overloaded, allowed is not goal and wanted != goal.tolist()
 
     def _braked(self, goal: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Return `goal` (5,) limited to velocities that can stop before a joint limit after one more cycle."""
+        """Return `goal` (n,) limited to velocities that can stop before a joint limit after one more cycle."""
         spent, twice = np.abs(self._pace) * CYCLE_S, 2 * self._acceleration
         forward = np.sqrt(twice * np.maximum(self._upper - at - spent, 0.0))
         backward = np.sqrt(twice * np.maximum(at - self._lower - spent, 0.0))

@@ -22,7 +22,8 @@ from sightline.frame import Frame
 from sightline.frame.plate import Plate, RigidBody
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
-from sightline.robot.kinematics.manipulator import FEED, Manipulator
+from sightline.robot.kinematics.manipulator import Manipulator
+from sightline.robot.kinematics.reach import part_axes
 
 if TYPE_CHECKING:
     from sightline.twin.objects.volumes import Volume
@@ -34,6 +35,7 @@ PICTURE_CELLS = 16  # [calc] across a plate; a pincushion distortion of 5 % devi
 PICTURE_PERCENTILES = (1.0, 99.0)  # shown as black and white
 ROUND_DECIMALS = 2  # 0.01 mm is less than a pixel of the scene
 TOOL_RADIUS_MM = 2.5  # [calc] twice that of a guide wire of 2.5 mm, for visibility
+PART_SHARE = 0.4  # of the radius for the collision check: the parts as they look, without the clearance [ours]
 WIRE_BEHIND_MM = 200.0  # drawn behind the tip on the robot: the length of the wire [paper]
 # Length of the drawn axes of CFCS, between wire and plates, and distance of the side labels from the hip, beside it and
 # within the frame, so that neither hides another thing [ours].
@@ -149,36 +151,20 @@ def rehearsed_bone(patient: Patient) -> list[Object]:
 
 
 def robot_objects(robot: Manipulator, q: np.ndarray, T_mcs_cfcs: RigidTransform) -> list[Object]:
-    """Return the manipulator at its joints (5,) as a stick figure: column, slides, wrist, drill and wire.
+    """Return the arm at its joints (n,): the middle lines of its parts, and its wire.
 
     `T_mcs_cfcs`: the registration, pose of CFCS (the frame as imaged) in MCS.
     """
-    stages = RigidTransform.from_matrix(robot.stages(q))
-    home, tool = robot.T_mcs_flange_home.translation, robot.T_mcs_tool(q)
-    lifted, wrist = stages[1].apply(home), robot.T_mcs_flange(q).translation
-    tip, along = tool.translation, tool.rotation.apply([0.0, 0.0, 1.0])
-    guide = tip - q[FEED] * along  # position of the tip at feed 0
-    back = guide - WIRE_BEHIND_MM * along
-    column, slide = np.array([0.0, 0.0, lifted[2]]), np.array([0.0, wrist[1], wrist[2]])
-    arm = wrist + ((guide - wrist) @ along) * along  # beside the guide, along the wire
-    parts = [
-        (np.zeros(3), column, 22.0),
-        (column, slide, 16.0),
-        (slide, wrist, 16.0),
-        (wrist, arm, 9.0),
-        (arm, guide, 6.0),
-    ]
-    to_cfcs = T_mcs_cfcs.inv()
+    to_cfcs, tool = T_mcs_cfcs.inv(), robot.T_mcs_tool(q)
     made: list[Object] = [
-        {**_cylinder(to_cfcs.apply(a), to_cfcs.apply(b), radius, "robot"), "reach": "room"}
-        for a, b, radius in parts
-        if np.linalg.norm(b - a) > 1e-6
+        {**_cylinder(to_cfcs.apply(ends[0]), to_cfcs.apply(ends[1]), PART_SHARE * part.radius_mm, "robot"), "reach": "room"}
+        for part, ends in zip(robot.parts, part_axes(robot, q[None], robot.parts)[0], strict=True)
+        if np.linalg.norm(ends[1] - ends[0]) > 1e-6
     ]
-    made.append(
-        {"kind": "spheres", "style": "robot", "at": [_list(to_cfcs.apply(wrist))], "radius": 24.0, "reach": "room"}
-    )
-    made.append({**_cylinder(to_cfcs.apply(back), to_cfcs.apply(tip), TOOL_RADIUS_MM, "tool"), "reach": "room"})
-    return [*made, _label(to_cfcs.apply(column), "robot", "robot")]
+    if robot.has_feed:
+        back, tip = to_cfcs.apply(tool.apply([[0.0, 0.0, -WIRE_BEHIND_MM], [0.0, 0.0, 0.0]]))
+        made.append({**_cylinder(back, tip, TOOL_RADIUS_MM, "tool"), "reach": "room"})
+    return [*made, _label(to_cfcs.apply(np.zeros(3)), "robot", "robot")]
 
 
 def axis_objects() -> list[Object]:
