@@ -26,12 +26,14 @@ FORCE, DEPTH, CYCLES = f"{ARM}/force", f"{ARM}/depth", f"{ARM}/cycles"
 DEPTH_SD = f"{ARM}/depth_sd"  # standard deviation of the depth
 OPEN_HOLE_DEPTH = f"{ARM}/open_hole"  # depth of the target's hole, if it was begun before
 OPEN_HOLE = "open hole"  # event; also in TARGET's STATUS, for people
+GUIDE_OFF = f"{ARM}/guide_off"  # of a held guide from the plan: mm, rad
 EVENT = f"{ARM}/event"  # event from drilling supervision: "break-through; 5.31 mm; 12.4 N"
 
 # Capabilities that a peer may announce in CAPABILITY beside message types, at most twelve characters each.
 HAS_HEARTBEAT = "X_HEARTBEAT"  # client: sends heartbeats, stop when they end; robot: watches heartbeats
 HAS_TELEMETRY = "X_TELEMETRY"  # client: wants the streams; robot: sends streams
 HAS_DRILLING = "X_DRILLING"  # robot: knows DRILL, GUIDE and RETRACT; client: drills by DRILL only
+HAS_GUIDE = "X_GUIDE"  # robot: it has no feed; GUIDE instead of DRILL
 HAS_PLAN = "X_PLAN"  # robot: a target may carry a plan's identity
 IS_SIMULATED = "X_SIMULATOR"  # robot: a simulator, nothing real moves
 HAS_RESET = "X_RESET"  # robot: a person may reset it over the link

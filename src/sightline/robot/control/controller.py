@@ -184,7 +184,12 @@ class Controller:
             return
         if self.machine.insertion is None:
             raise _no(Code.NOT_READY, "there is no target; send TARGETING and TGT_ first")
-        if TRANSITIONS[self.machine.state, trigger] is State.DRILL and self.machine.lease.unwatched:
+        drills = TRANSITIONS[self.machine.state, trigger] is State.DRILL
+        if drills and not self.machine.robot.manipulator.has_feed:
+            raise _no(
+                Code.NOT_READY, "this arm has no feed: send GUIDE, and a person drills through the guide it holds"
+            )
+        if drills and self.machine.lease.unwatched:
             text = f"announce {contract.HAS_HEARTBEAT} and send a heartbeat every {1e3 * contract.HEARTBEAT_S:.0f} ms"
             raise _no(Code.NOT_READY, f"{text}: without it the wire goes on for seconds when the network is lost")
         if not now_s <= self.machine.insertion.expires_s:
@@ -258,7 +263,9 @@ class Controller:
         if self.machine.state is not State.TARGETING:
             raise _no(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.machine.state.value}")
         self.machine.insertion = self.machine.drilling = None  # the old target is void even if the new one is refused
-        read = read_target(message, self.machine.registration, self.machine.robot, self.machine.setup, now_s)
+        read = read_target(
+            message, self.machine.registration, self.machine.robot, self.machine.setup, now_s, self.machine.q
+        )
         return self._begin_check(client, self._lifetimes.limit(read, now_s), None, now_s)
 
     @_answering

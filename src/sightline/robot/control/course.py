@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from sightline.errors import UnusableInputError
-from sightline.robot.control.insertion import Insertion, retracted
+from sightline.robot.control.insertion import Insertion, guide_back, retracted
 from sightline.robot.control.states import Trigger
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.plant import Reading
@@ -137,14 +137,18 @@ class Course:
 
 
 def align(manipulator: Manipulator, insertion: Insertion, q: np.ndarray) -> Course:
-    """Return the course from the joints `q` (n,) to the stand-off: wire back, arm to its line, wire forward."""
-    _, back, on_line, forward = insertion.waypoints(manipulator, q)
-    speed, slow = manipulator.speed, limit_feed(manipulator, RETRACT_MM_S)
-    return Course(manipulator, q, (Leg(back, slow), Leg(on_line, speed), Leg(forward, speed)))
+    """Return the course from the joints `q` (n,) to the stand-off, through the insertion's waypoints."""
+    speed = manipulator.speed
+    first, *legs = (Leg(end, speed) for end in insertion.waypoints(manipulator, q)[1:])
+    if manipulator.has_feed:
+        first = Leg(first.end, limit_feed(manipulator, RETRACT_MM_S))
+    return Course(manipulator, q, (first, *legs))
 
 
 def retract(manipulator: Manipulator, q: np.ndarray) -> Course:
-    """Return the course that retracts the wire and holds the other joints."""
+    """Return the course that retracts the wire and holds the other joints, or that draws the guide back."""
+    if not manipulator.has_feed:
+        return Course(manipulator, q, [Leg(end, manipulator.speed) for end in guide_back(manipulator, q)])
     return Course(manipulator, q, (Leg(retracted(manipulator, q), limit_feed(manipulator, RETRACT_MM_S)),))
 
 

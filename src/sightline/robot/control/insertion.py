@@ -14,12 +14,12 @@ from sightline.robot.igtl import Message, Transform
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.reach import check_reach, hip_surroundings
-from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity
+from sightline.robot.kinematics.target import LIFETIME_S, STANDOFF_MM, PlanIdentity
 
 # Feed of a retracted wire before the joint's limit: inside it, so that drives still obey [ours].
 IN_SLEEVE_MM = 0.5
-# For the confirmation shot the wire waits this far before the entry point, outside the skin of most patients [ours].
-STANDOFF_MM = 20.0
+# A guide comes from this far off along the wire's axis, in steps that stay on it to 0.06 mm [ours].
+FROM_MM, STRAIGHT_MM = 60.0, 20.0
 BARE_LENGTH_MM = 95.0  # entry to tip for a target without entry point: the wire of the paper's hip [paper]
 MIN_LENGTH_MM = 5.0  # as in planning: a shorter distance gives no direction
 # Depth limit past the planned depth for a target that states none: the paper's limit for the tip [paper, Fig. 15].
@@ -73,7 +73,7 @@ class LinkRegistration:
 
 @dataclass(frozen=True, eq=False)
 class Insertion:
-    """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (n,): the joints with the tip at the entry point.
+    """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (n,): as of `RobotTarget`.
 
     `sent`: the pose at the end point as received; `T_cfcs_wire`: the pose that the robot will reach. Depths count from
     the entry point. `identity` is None for a bare transform. `limits`: of them only `beyond_mm` and `before_mm` count.
@@ -110,14 +110,19 @@ class Insertion:
         )
 
     def waypoints(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
-        """Return the joints (4, n) from `q` (n,) to the stand-off: wire back, arm to its line, wire forward."""
+        """Return the joints (K, n) from `q` (n,) to the stand-off: wire back, arm to its line, wire forward; or the
+        guide to its line, and along it."""
+        if not manipulator.has_feed:
+            return np.vstack([q, guide_back(manipulator, self.q)[::-1], self.q])
         back = retracted(manipulator, q)
         on_line = retracted(manipulator, self.q)
         return np.stack([q, back, on_line, manipulator.fed(self.q, -self.standoff_mm)])
 
     def refuse_collision(self, manipulator: Manipulator, q: np.ndarray, setup: Setup) -> None:
         """Raise RobotRefusedError if the path from the joints `q` (n,) to the end point comes too near an obstacle."""
-        way = np.vstack([self.waypoints(manipulator, q), manipulator.fed(self.q, self.length_mm)])
+        way = self.waypoints(manipulator, q)
+        if manipulator.has_feed:
+            way = np.vstack([way, manipulator.fed(self.q, self.length_mm)])
         at_hip = self.T_mcs_cfcs * RigidTransform.from_translation(setup.hip_mm)
         T_mcs_hip = at_hip if setup.frames is None else setup.frames.T_mcs_hip
         theatre = hip_surroundings(T_mcs_hip, setup.frame_mounted, setup.remount_mm, c_arm=not setup.c_arm_away)
@@ -131,6 +136,11 @@ def retracted(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
     back = np.array(q, dtype=np.float64)
     back[manipulator.feed] = manipulator.lower[manipulator.feed] + IN_SLEEVE_MM
     return back
+
+
+def guide_back(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
+    """Return the joints (K, n) that draw the guide back along the wire's axis. Raises RobotRefusedError."""
+    return manipulator.follow_line(q, -np.arange(STRAIGHT_MM, FROM_MM + 1.0, STRAIGHT_MM))
 
 
 def read_registration(message: Message, setup: Setup) -> LinkRegistration:
@@ -147,10 +157,15 @@ def read_registration(message: Message, setup: Setup) -> LinkRegistration:
 
 
 def read_target(
-    message: Message, registration: LinkRegistration, robot: CalibratedRobot, setup: Setup, now_s: float
+    message: Message,
+    registration: LinkRegistration,
+    robot: CalibratedRobot,
+    setup: Setup,
+    now_s: float,
+    near: np.ndarray | None = None,
 ) -> Insertion:
     """Return the insertion in a transform: the wire's pose at the end point, CFCS, +z towards the tip, with the plan's
-    metadata if any.
+    metadata if any. `near` (n,): as of `Manipulator.solutions`.
 
     `Insertion.refuse_collision` checks the path from the robot's position later. Raises RobotRefusedError with the
     reason.
@@ -171,9 +186,11 @@ def read_target(
     end = registration.T_mcs_cfcs.apply(T_cfcs_wire.translation)
     along = (registration.T_mcs_cfcs * T_cfcs_wire).rotation.apply([0.0, 0.0, 1.0])
     entry = end - length * along
-    q = robot.manipulator.inverse(entry, end)
-    refuse_feed(robot.manipulator, q, length, limits.before_mm)
-    laid = registration.T_mcs_cfcs.inv() * robot.manipulator.T_mcs_tool(robot.manipulator.fed(q, length))
+    manipulator, depth = robot.manipulator, 0.0 if robot.manipulator.has_feed else -STANDOFF_MM - limits.before_mm
+    q = manipulator.inverse(entry, end, depth, near)
+    if manipulator.has_feed:
+        refuse_feed(manipulator, q, length, limits.before_mm)
+    laid = registration.T_mcs_cfcs.inv() * manipulator.along(q, length - depth)
     return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, sent, laid, limit, expires, limits)
 
 

@@ -18,6 +18,7 @@ from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.target import DepthZero
 from sightline.robot.plant import WATCHDOG_S, Plant, PlantFlag, Reading
 
+GUIDE_FAULT_MM = 1.0  # of the guide from the plan, beyond which the robot does not hold it [ours: the paper's limit]
 STOP_S = 1.0  # time limit for a stop: ten times the longest one
 
 
@@ -67,7 +68,7 @@ class Samples:
             return f"outside the workspace: {manipulator.describe_excess(joint, at, excess, 'is at')}"
         if PlantFlag.OVERLOAD in reading.flags and state in MOVING:
             return "a drive is at the limit of its force: something blocks the robot"
-        if state in WAITING:
+        if state in WAITING and (manipulator.has_feed or state is not State.GUIDE):  # a person pushes at a guide
             off = np.abs(reading.encoders - rest) > STANDING_SHARE * limit
             if off.any():
                 return f"{manipulator.joints[int(np.argmax(off))]} was moved while it should stand"
@@ -158,6 +159,7 @@ class Machine:
             self._commanded,
             None if zero is None else zero.depth_mm(self.fed_mm),
             None if zero is None else zero.sd_mm,
+            self.guide_off,
             self.fault,
         )
 
@@ -190,7 +192,8 @@ class Machine:
             self._activity = retract(manipulator, q)
         elif self.state is State.ALIGN and insertion is not None:
             self._activity = align(manipulator, insertion, q)
-            self.drilling = Drilling(manipulator, insertion, self.setup.into_bone, self.open_hole(insertion))
+            if manipulator.has_feed:
+                self.drilling = Drilling(manipulator, insertion, self.setup.into_bone, self.open_hole(insertion))
         elif self.state is State.DRILL and self.drilling is not None:
             if self.drilling not in self._holes:
                 self._holes.append(self.drilling)
@@ -262,12 +265,29 @@ class Machine:
         elif self.stop_pressed and self.state is not State.UNDEFINED:
             self.fail(Code.EMERGENCY, "the stop button was pressed", now_s)
         elif self.state in ACTIVITIES:
-            wrong = self._samples.wrong(self.robot.manipulator, self.state, self._rest)
+            wrong = self._samples.wrong(self.robot.manipulator, self.state, self._rest) or self._guide_fault()
             reason = self._reason_to_halt(now_s) if self.state in MOVING else None
             if wrong:
                 self.fail(Code.HARDWARE, wrong, now_s)
             elif reason:
                 self._halt_by_itself(reason, now_s)
+
+    @property
+    def guide_off(self) -> tuple[float, float] | None:
+        """How far the guide's mouth is from where it should be held, mm, and its direction, rad; None if it is not
+        held."""
+        manipulator, insertion = self.robot.manipulator, self.insertion
+        if manipulator.has_feed or insertion is None or self.state not in (State.ALIGNED, State.GUIDE):
+            return None
+        held, now = (manipulator.tool_matrix(q)[:3, 2:] for q in (insertion.q, self.q))
+        sine = np.linalg.norm(np.cross(held[:, 0], now[:, 0]))
+        return float(np.linalg.norm(now[:, 1] - held[:, 1])), float(np.arctan2(sine, held[:, 0] @ now[:, 0]))
+
+    def _guide_fault(self) -> str | None:
+        off = self.guide_off
+        if off is None or off[0] <= GUIDE_FAULT_MM:
+            return None
+        return f"the guide is {off[0]:.1f} mm from the plan (at most {GUIDE_FAULT_MM:g} mm): it was pushed away"
 
     def _reason_to_halt(self, now_s: float) -> str | None:
         if not self.run_held:
@@ -330,7 +350,7 @@ class Machine:
     @property
     def _depth_zero(self) -> DepthZero | None:
         """Depth zero of the hole in progress, else of the plan."""
-        if self.insertion is None:
+        if self.insertion is None or not self.robot.manipulator.has_feed:
             return None
         if self.drilling is not None:
             return self.drilling.zero

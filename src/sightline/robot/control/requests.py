@@ -48,7 +48,8 @@ class RobotFault:
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """The controller's state at one time. `depth_mm`: of the tip beyond the entry point, `depth_sd_mm`: its standard
-    deviation, both None without a target; `wanted` (n,): the commanded position of the joints."""
+    deviation, both None without a target; `guide_off`: as of `Machine`; `wanted` (n,): the commanded position of the
+    joints."""
 
     state: State
     reading: Reading
@@ -57,6 +58,7 @@ class Snapshot:
     commanded: np.ndarray
     depth_mm: float | None
     depth_sd_mm: float | None
+    guide_off: tuple[float, float] | None
     fault: RobotFault | None
 
 

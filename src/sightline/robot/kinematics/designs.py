@@ -58,7 +58,8 @@ FR3_UPPER_RAD = (2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159)
 ARM_SPEED_RAD_S, ARM_PLAY_RAD, ARM_STIFFNESS = np.deg2rad(15.0), 1.2e-4, 2e7
 LINK_RADIUS_MM, GUIDE_RADIUS_MM = 60.0, 12.0
 # Mouth of the guide, flange coordinates, and the hip on its axis as before the manipulator's retracted tip [ours].
-MOUTH_MM, GUIDED_HIP_MM = (0.0, 0.0, 180.0), (0.0, 0.0, 330.0)
+# The guide is beside the flange, so that a drill goes through it; GUIDE_MM is its length [ours].
+MOUTH_MM, GUIDED_HIP_MM, GUIDE_MM = (0.0, -60.0, 150.0), (0.0, -60.0, 300.0), 120.0
 
 
 def imaging_yaw(side: str) -> float:
@@ -146,7 +147,8 @@ def _guiding(
     )
     ends = [home.inv().apply([a.translation, b.translation]) for a, b in pairwise(frames)]
     parts = [Capsule(f"link {k + 1}", k + 1, end, LINK_RADIUS_MM) for k, end in enumerate(ends)]
-    guide = Capsule("guide", count, np.array([[0.0, 0.0, 0.0], MOUTH_MM]), GUIDE_RADIUS_MM)
+    mouth = np.array(MOUTH_MM)
+    guide = Capsule("guide", count, np.stack([mouth - [0.0, 0.0, GUIDE_MM], mouth]), GUIDE_RADIUS_MM)
     every = np.ones(count)
     return Manipulator(
         joints=tuple(f"joint {k + 1}" for k in range(count)),
@@ -164,6 +166,7 @@ def _guiding(
         stiffness=ARM_STIFFNESS * every,
         column_stiffness=np.inf,
         parts=(*parts, guide),
+        guide_mm=GUIDE_MM,
     )
 
 

@@ -45,9 +45,9 @@ class Manipulator:
     `axes` (n, 6): each joint's unit twist at q = 0; a rotation without pitch, or a translation. `has_feed`: the last
     joint feeds the wire; otherwise a person drills through the guide that the arm holds. `T_mcs_flange_home`: the
     flange at q = 0. `T_flange_tool`: the wire on the flange at feed 0, origin at the tip, +z along the wire towards it;
-    without a feed the origin is the mouth of the guide. `T_flange_cfcs`: the frame on the flange. `backlash`: total
-    play of a joint, not seen by its encoder; `stiffness`: of the joint behind its encoder, N/mm and N mm/rad;
-    `column_stiffness`: N/mm along X, where no joint moves. `parts`: for the collision check.
+    without a feed the origin is the mouth of the guide, which is `guide_mm` long. `T_flange_cfcs`: the frame on the
+    flange. `backlash`: total play of a joint, not seen by its encoder; `stiffness`: of the joint behind its encoder,
+    N/mm and N mm/rad; `column_stiffness`: N/mm along X, where no joint moves. `parts`: for the collision check.
     """
 
     joints: tuple[str, ...]
@@ -65,6 +65,7 @@ class Manipulator:
     stiffness: np.ndarray
     column_stiffness: float
     parts: tuple[Capsule, ...]
+    guide_mm: float = 0.0
 
     def __post_init__(self) -> None:
         rotation = np.linalg.norm(self.axes[:, :3], axis=1)
@@ -105,6 +106,10 @@ class Manipulator:
     def fed(self, q: np.ndarray, by_mm: float) -> np.ndarray:
         """Return the joints (n,) with the wire fed further."""
         return q + by_mm * np.eye(self.count)[self.feed]
+
+    def along(self, q: np.ndarray, by_mm: float) -> RigidTransform:
+        """Return the pose `T_mcs_tool` at q (n,), shifted along the wire."""
+        return self.T_mcs_tool(q) * RigidTransform.from_translation([0.0, 0.0, by_mm])
 
     def T_mcs_flange(self, q: np.ndarray) -> RigidTransform:
         """Return the pose of the flange at q (n,) or (N, n)."""

@@ -119,6 +119,7 @@ class ManipulatorPart(_Part):
     stiffness: Annotated[list[Annotated[float, Field(gt=0)]], Field(max_length=MAX_JOINTS)]
     column_stiffness: Annotated[float, Field(gt=0)] | None
     parts: Annotated[list[CapsulePart], Field(max_length=100)]
+    guide_mm: Annotated[float, Field(ge=0, le=1e3)] = 0.0
 
     @staticmethod
     def of(manipulator: Manipulator) -> dict[str, Any]:
@@ -145,7 +146,7 @@ class ManipulatorPart(_Part):
         )
         values |= {name: _rigid(what, pose) for name, what, pose in poses}
         parts = tuple(Capsule(part.name, part.joints, np.array(part.ends_mm), part.radius_mm) for part in self.parts)
-        values |= {"joints": tuple(self.joints), "has_feed": self.has_feed, "parts": parts}
+        values |= {"joints": tuple(self.joints), "has_feed": self.has_feed, "parts": parts, "guide_mm": self.guide_mm}
         return Manipulator(**values, column_stiffness=self.column_stiffness or np.inf)
 
 

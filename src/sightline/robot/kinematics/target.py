@@ -32,6 +32,12 @@ SKIVING_RAD = 1e-3
 # Probability with which a drill must pass both walls of a nail: 97 % of the accepted drills are asked to [ours].
 MIN_PASSING = 0.97
 SIDES = ("right", "left")
+# For the confirmation shot the wire, or the mouth of the guide, waits this far before the entry point, outside the skin
+# of most patients [ours].
+STANDOFF_MM = 20.0
+# Of a wire in a guide: half its play at each end, uniform [ours, 0.05 mm of a lapped sleeve], and of a depth that a
+# person reads as the free length of the wire, 1 s.d. [ours].
+SLEEVE_SD_MM, READ_DEPTH_SD_MM = 0.05 / np.sqrt(12), 0.3
 
 
 # Error of the planned entry along the wire, 1 s.d.: targets with a 95 % error above 1 mm are refused below.
@@ -193,9 +199,9 @@ class PlanIdentity:
 
 @dataclass(frozen=True, eq=False)
 class RobotTarget:
-    """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (n,) with the tip at the entry point, and its
-    expiry time. `covariance_mm2` (6, 6): of (entry, end) of the wire in the bone, which includes errors that the
-    encoders cannot see. `budget_mm2`: the share of each source, of planning and of the robot. `limits`: the plan's."""
+    """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (n,) with the tip at the entry point, or
+    without a feed the guide's mouth at the stand-off before it, and its expiry time. `covariance_mm2` (6, 6): of
+    (entry, end) of the wire in the bone, which includes errors that the encoders cannot see. `budget_mm2`: the share of each source, of planning and of the robot. `limits`: the plan's."""
 
     identity: PlanIdentity
     registration: Registration
@@ -223,10 +229,21 @@ class RobotTarget:
         return float(q[feed] - self.q[feed])
 
     @property
+    def standoff_mm(self) -> float:
+        """Distance before the entry point at which the wire, or the guide's mouth, waits for the confirmation shot."""
+        return STANDOFF_MM + self.limits.before_mm
+
+    @property
+    def pushed_mm(self) -> float:
+        """Length of wire that leaves the mouth of a guide when it is drilled, mm."""
+        return self.standoff_mm + self.depth_mm
+
+    @property
     def T_cfcs_wire(self) -> RigidTransform:
         """Pose of the wire when it is drilled, CFCS, +z towards the tip; its rotation about +z is the robot's own."""
         manipulator = self.registration.robot.manipulator
-        return self.registration.T_mcs_cfcs.inv() * manipulator.T_mcs_tool(manipulator.fed(self.q, self.depth_mm))
+        by_mm = self.depth_mm if manipulator.has_feed else self.pushed_mm
+        return self.registration.T_mcs_cfcs.inv() * manipulator.along(self.q, by_mm)
 
     @cached_property
     def entry_error_95_mm(self) -> float:
@@ -316,22 +333,27 @@ def robot_target(
         raise RobotRefusedError("the plan's error is unknown: a view states no covariance; calibrate both from beads")
     entry, end = registration.T_mcs_cfcs.apply(points)
     robot = registration.robot
-    manipulator = robot.manipulator
-    q = manipulator.inverse(entry, end)
-    q_end = manipulator.fed(q, float(np.linalg.norm(end - entry)) + limits.beyond_mm)
-    if short := manipulator.beyond_limits(q_end)[manipulator.feed]:
-        raise RobotRefusedError(
-            f"the feed ends {short:.1f} mm before the planned depth; bring the robot's base nearer, or plan a shorter "
-            "wire"
-        )
+    manipulator, standoff_mm = robot.manipulator, STANDOFF_MM + limits.before_mm
+    if manipulator.has_feed:
+        q = manipulator.inverse(entry, end)
+        q_end = manipulator.fed(q, float(np.linalg.norm(end - entry)) + limits.beyond_mm)
+        if short := manipulator.beyond_limits(q_end)[manipulator.feed]:
+            raise RobotRefusedError(
+                f"the feed ends {short:.1f} mm before the planned depth; bring the robot's base nearer, or plan a "
+                "shorter wire"
+            )
+    else:
+        q = manipulator.inverse(entry, end, -standoff_mm, registration.q)
     to_mcs = np.kron(np.eye(2), registration.T_mcs_cfcs.rotation.as_matrix())
     budget = {source: to_mcs @ covariance @ to_mcs.T for source, covariance in budget_mm2.items()}
     budget |= robot.wire_against_frame(registration.q, q, np.stack([entry, end]))
     budget["skiving"] = _skiving(entry, end)
+    if not manipulator.has_feed:
+        budget["sleeve"] = _sleeve(entry, end, standoff_mm, manipulator.guide_mm)
     covariance = np.sum(list(budget.values()), axis=0)
     # A wire that goes past its end point passes it whatever its depth, and contact with bone that begins somewhere
     # before the entry point says nothing of the depth.
-    by_contact = limits.beyond_mm == limits.before_mm == 0
+    by_contact = limits.beyond_mm == limits.before_mm == 0 and manipulator.has_feed
     budget["depth_zero"] = _depth_zero(entry, end, covariance) if by_contact else np.zeros((6, 6))
     covariance = covariance + budget["depth_zero"]
     expires_s = registration.imaged_s + LIFETIME_S
@@ -344,6 +366,16 @@ def _skiving(entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
     covariance = np.zeros((6, 6))
     covariance[3:, 3:] = SKIVING_RAD**2 * ((along @ along) * np.eye(3) - np.outer(along, along))
     return covariance
+
+
+def _sleeve(entry_mm: np.ndarray, end_mm: np.ndarray, standoff_mm: float, guide_mm: float) -> np.ndarray:
+    """Return the covariance (6, 6) mm² of (entry, end) of a wire that a person drills through a guide: its play at both
+    ends of the guide, carried on straight, and the depth that is read."""
+    along = (end_mm - entry_mm) / np.linalg.norm(end_mm - entry_mm)
+    beyond = np.array([standoff_mm, standoff_mm + np.linalg.norm(end_mm - entry_mm)]) / guide_mm
+    carried = SLEEVE_SD_MM * np.stack([1 + beyond, -beyond], axis=1)  # by the play at the mouth, and at the other end
+    across = np.kron(carried @ carried.T, np.eye(3) - np.outer(along, along))
+    return across + READ_DEPTH_SD_MM**2 * np.kron(np.diag([0.0, 1.0]), np.outer(along, along))
 
 
 def _depth_zero(entry_mm: np.ndarray, end_mm: np.ndarray, others_mm2: np.ndarray) -> np.ndarray:

@@ -153,7 +153,8 @@ class Dialogue:
 
     def _capability(self) -> NamedBody:
         watches = (contract.HAS_HEARTBEAT,) if self._machine.lease.watches else ()
-        here = OFFERED + watches + ((contract.IS_SIMULATED,) if self.simulated else ())
+        guides = () if self.controller.machine.robot.manipulator.has_feed else (contract.HAS_GUIDE,)
+        here = OFFERED + guides + watches + ((contract.IS_SIMULATED,) if self.simulated else ())
         return "", Capability(UNDERSTOOD + here)
 
     def _of_transform(self, client: int, message: Message, now_s: float) -> list[NamedBody]:

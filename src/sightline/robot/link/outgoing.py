@@ -140,4 +140,6 @@ class Telemetry:
         for name, value in ((contract.DEPTH_SD, now.depth_sd_mm), (contract.DEPTH, now.depth_mm)):
             if value is not None:
                 bodies.append((name, Sensor(np.array([value]), MILLIMETRE)))
+        if now.guide_off is not None:
+            bodies.append((contract.GUIDE_OFF, Sensor(np.array(now.guide_off))))
         return bodies

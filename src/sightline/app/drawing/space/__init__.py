@@ -157,7 +157,10 @@ def robot_objects(robot: Manipulator, q: np.ndarray, T_mcs_cfcs: RigidTransform)
     """
     to_cfcs, tool = T_mcs_cfcs.inv(), robot.T_mcs_tool(q)
     made: list[Object] = [
-        {**_cylinder(to_cfcs.apply(ends[0]), to_cfcs.apply(ends[1]), PART_SHARE * part.radius_mm, "robot"), "reach": "room"}
+        {
+            **_cylinder(to_cfcs.apply(ends[0]), to_cfcs.apply(ends[1]), PART_SHARE * part.radius_mm, "robot"),
+            "reach": "room",
+        }
         for part, ends in zip(robot.parts, part_axes(robot, q[None], robot.parts)[0], strict=True)
         if np.linalg.norm(ends[1] - ends[0]) > 1e-6
     ]
