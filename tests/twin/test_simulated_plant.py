@@ -15,7 +15,7 @@ from sightline.robot.kinematics.designs import FEED, LIFT, TRAVERSE, YAW, nomina
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag
 from sightline.twin.objects.volumes import Volume
 from sightline.twin.robot.drilling import Bone
-from sightline.twin.robot.mjcf import Build, mjcf, unit
+from sightline.twin.robot.mjcf import Build, mjcf, units
 from sightline.twin.robot.plant import SimulatedPlant
 
 pytest.importorskip("mujoco")
@@ -48,7 +48,7 @@ def test_without_springs_mujoco_has_the_closed_form_kinematics(robot):
     for _ in range(20):
         q = rng.uniform(robot.lower, robot.upper)
         for joint, name in enumerate(("lift", "traverse", "yaw", "pitch", "feed")):
-            data.qpos[model.joint(name).qposadr[0]] = q[joint] * unit(joint)
+            data.qpos[model.joint(name).qposadr[0]] = q[joint] * units(robot)[joint]
         mujoco.mj_kinematics(model, data)
         for site, pose in (
             ("tool", robot.T_mcs_tool(q)),
@@ -149,7 +149,7 @@ def test_a_joint_stops_at_its_limit(sign):
 @pytest.mark.parametrize("bad", [np.zeros(4), [0, 0, np.nan, 0, 0], [0, 0, np.inf, 0, 0]])
 def test_a_command_that_is_no_velocity_is_refused(bad):
     one = plant()
-    with pytest.raises(ValueError, match="five finite"):
+    with pytest.raises(ValueError, match="5 finite"):
         one.command(bad, drill_on=False)
 
 

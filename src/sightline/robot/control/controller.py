@@ -264,7 +264,7 @@ class Controller:
             raise _no(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.machine.state.value}")
         self.machine.insertion = self.machine.drilling = None  # the old target is void even if the new one is refused
         read = read_target(
-            message, self.machine.registration, self.machine.robot, self.machine.setup, now_s, self.machine.q
+            message, self.machine.registration, self.machine.robot, self.machine.setup, now_s, near=self.machine.q
         )
         return self._begin_check(client, self._lifetimes.limit(read, now_s), None, now_s)
 

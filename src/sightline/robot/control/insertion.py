@@ -162,6 +162,7 @@ def read_target(
     robot: CalibratedRobot,
     setup: Setup,
     now_s: float,
+    *,
     near: np.ndarray | None = None,
 ) -> Insertion:
     """Return the insertion in a transform: the wire's pose at the end point, CFCS, +z towards the tip, with the plan's

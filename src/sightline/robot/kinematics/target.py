@@ -199,9 +199,10 @@ class PlanIdentity:
 
 @dataclass(frozen=True, eq=False)
 class RobotTarget:
-    """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (n,) with the tip at the entry point, or
-    without a feed the guide's mouth at the stand-off before it, and its expiry time. `covariance_mm2` (6, 6): of
-    (entry, end) of the wire in the bone, which includes errors that the encoders cannot see. `budget_mm2`: the share of each source, of planning and of the robot. `limits`: the plan's."""
+    """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (n,) with the tip at the entry point, or without
+    a feed the guide's mouth at the stand-off before it, and its expiry time. `covariance_mm2` (6, 6): of (entry, end)
+    of the wire in the bone, which includes errors that the encoders cannot see. `budget_mm2`: the share of each source,
+    of planning and of the robot. `limits`: the plan's."""
 
     identity: PlanIdentity
     registration: Registration
