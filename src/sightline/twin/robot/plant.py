@@ -1,14 +1,12 @@
 """The simulated plant: the true manipulator, simulated by MuJoCo, with its wire in the bone of the images."""
 
-import os
-from importlib import import_module
 from itertools import product
 from math import isfinite
-from types import ModuleType
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sightline.common.mujoco import import_mujoco
 from sightline.errors import SetUpError
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag, Reading
@@ -157,23 +155,6 @@ class SimulatedPlant:
         return Reading(self._time_s, encoders, sensed(self.thrust_n, self._rng), flags)
 
 
-def _imported() -> ModuleType:
-    """Import MuJoCo. Raises SetUpError if it is not installed."""
-    try:
-        return import_module("mujoco")
-    except ImportError as error:
-        raise SetUpError("the simulated robot needs MuJoCo: pip install 'sightline[robot]'") from error
-    except (AttributeError, RuntimeError):
-        if "MUJOCO_GL" not in os.environ:
-            raise
-        # The graphics that it names are not there. Here nothing is drawn.
-        named, os.environ["MUJOCO_GL"] = os.environ["MUJOCO_GL"], "disable"
-        try:
-            return import_module("mujoco")
-        finally:
-            os.environ["MUJOCO_GL"] = named
-
-
 class _Body:
     """The moving masses: MuJoCo's state, in mm and rad.
 
@@ -182,7 +163,7 @@ class _Body:
     """
 
     def __init__(self, robot: Manipulator, build: Build, start: np.ndarray) -> None:
-        mujoco = self._mujoco = _imported()
+        mujoco = self._mujoco = import_mujoco("the simulated robot")
         self._model = mujoco.MjModel.from_xml_string(mjcf(robot, build))
         self._data = mujoco.MjData(self._model)
         self._lower, self._upper, self._acceleration = robot.lower, robot.upper, robot.acceleration
