@@ -18,6 +18,8 @@ from sightline.robot.control.insertion import Setup
 from sightline.robot.control.requests import Panel
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Capability, Message, Status, String, Transform
+from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.link import client, exchange
 from sightline.robot.link.dialogue import Dialogue
 from sightline.robot.link.outgoing import SIGHTLINE, Dialect
@@ -54,28 +56,29 @@ def metadata(**changed: str) -> dict[str, str]:
 class IdealPlant:
     """A `Plant` in air whose joints do at once what their acceleration allows: quick, where physics does not matter."""
 
-    def __init__(self) -> None:
+    def __init__(self, robot: Manipulator = ROBOT.manipulator, q: np.ndarray = IMAGED) -> None:
+        self.robot = robot
         self.stop_pressed, self.run_held = False, True
-        self.time_s, self.q = 0.0, IMAGED.copy()
-        self.velocity, self.goal = np.zeros(5), np.zeros(5)
+        self.time_s, self.q = 0.0, q.copy()
+        self.velocity, self.goal = np.zeros_like(q), np.zeros_like(q)
 
     def read(self) -> Reading:
-        resolution = ROBOT.manipulator.resolution
+        resolution = self.robot.resolution
         flags = PlantFlag.RUN_HELD if self.run_held else PlantFlag.NONE
         flags |= PlantFlag.STOP_PRESSED if self.stop_pressed else PlantFlag.NONE
         return Reading(self.time_s, np.round(self.q / resolution) * resolution, 0.0, flags)
 
     def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
         assert np.isfinite(joint_velocity).all()
-        speed = ROBOT.manipulator.speed
+        speed = self.robot.speed
         self.goal = np.minimum(np.maximum(joint_velocity, -speed), speed)
 
     def hold(self) -> None:
-        self.goal = np.zeros(5)
+        self.goal = np.zeros_like(self.q)
 
     def advance(self, dt_s: float) -> None:
-        step = ROBOT.manipulator.acceleration * dt_s
-        goal = self.goal if self.run_held and not self.stop_pressed else np.zeros(5)
+        step = self.robot.acceleration * dt_s
+        goal = self.goal if self.run_held and not self.stop_pressed else np.zeros_like(self.q)
         before = self.velocity
         self.velocity = before + np.minimum(np.maximum(goal - before, -step), step)
         self.q = self.q + dt_s * (before + self.velocity) / 2
@@ -96,9 +99,10 @@ class Rig:
         moved: SimulatedPlant | IdealPlant | None = None,
         setup: Setup = SETUP,
         dialect: Dialect = SIGHTLINE,
+        robot: CalibratedRobot = ROBOT,
     ) -> None:
         self.plant, self.panel = moved or IdealPlant(), Panel(key_switch=key_switch)
-        self.controller = Controller(ROBOT, self.plant, setup, self.panel)
+        self.controller = Controller(robot, self.plant, setup, self.panel)
         self.controller.machine.lease.watches = False
         # `run` leaves telemetry aside, whose poses take half of all time.
         self.dialogue = Dialogue(self.controller, telemetry_s=1.0, dialect=dialect)

@@ -56,10 +56,10 @@ FR3_UPPER_RAD = (2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159)
 # Of both: speed in a theatre, a tenth of what they can do [ours]; play for a repeatability of 0.03 mm, 1 s.d., at a
 # reach of 850 mm [src: data sheet of the UR5e]; stiffness [ours, typical of harmonic drives].
 ARM_SPEED_RAD_S, ARM_PLAY_RAD, ARM_STIFFNESS = np.deg2rad(15.0), 1.2e-4, 2e7
-LINK_RADIUS_MM, GUIDE_RADIUS_MM = 60.0, 12.0
+LINK_RADIUS_MM = 60.0
 # Mouth of the guide, flange coordinates, and the hip on its axis as before the manipulator's retracted tip [ours].
 # The guide is beside the flange, so that a drill goes through it; GUIDE_MM is its length [ours].
-MOUTH_MM, GUIDED_HIP_MM, GUIDE_MM = (0.0, -60.0, 150.0), (0.0, -60.0, 300.0), 120.0
+MOUTH_MM, GUIDED_HIP_MM, GUIDE_MM = (0.0, -60.0, 180.0), (0.0, -60.0, 330.0), 120.0
 
 
 def imaging_yaw(side: str) -> float:
@@ -147,8 +147,6 @@ def _guiding(
     )
     ends = [home.inv().apply([a.translation, b.translation]) for a, b in pairwise(frames)]
     parts = [Capsule(f"link {k + 1}", k + 1, end, LINK_RADIUS_MM) for k, end in enumerate(ends)]
-    mouth = np.array(MOUTH_MM)
-    guide = Capsule("guide", count, np.stack([mouth - [0.0, 0.0, GUIDE_MM], mouth]), GUIDE_RADIUS_MM)
     every = np.ones(count)
     return Manipulator(
         joints=tuple(f"joint {k + 1}" for k in range(count)),
@@ -165,7 +163,7 @@ def _guiding(
         backlash=ARM_PLAY_RAD * every,
         stiffness=ARM_STIFFNESS * every,
         column_stiffness=np.inf,
-        parts=(*parts, guide),
+        parts=tuple(parts),  # the guide is meant to touch the patient
         guide_mm=GUIDE_MM,
     )
 

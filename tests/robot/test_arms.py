@@ -1,0 +1,210 @@
+"""Arms of six and seven axes: kinematics against MuJoCo, the guide held while a person drills, model files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig, code, metadata, wire
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.common.checks import Limits
+from sightline.common.geometry.rigid import displacement
+from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.robot import contract
+from sightline.robot.control.states import State
+from sightline.robot.igtl import Transform
+from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot, Mount, calibrate_axes
+from sightline.robot.kinematics.designs import seven_axis, six_axis
+from sightline.robot.kinematics.manipulator import MIN_SINGULAR, Manipulator
+from sightline.robot.kinematics.model_file import read_arm
+from sightline.robot.kinematics.target import STANDOFF_MM, PlanIdentity, PoseAtImage, register, robot_target
+
+SIX, SEVEN = six_axis(), seven_axis()
+AT_IMAGES = RigidTransform.from_components([560.0, 40.0, 170.0], Rotation.from_rotvec([0.0, 0.0, np.pi]))
+
+
+def at_images(arm: Manipulator) -> np.ndarray:
+    """Joints with the frame upright, its hip ahead of the base."""
+    return arm.inverse_pose(AT_IMAGES * arm.T_flange_cfcs.inv() * arm.T_flange_tool)
+
+
+def calibrated(arm: Manipulator) -> CalibratedRobot:
+    sd = np.tile(0.1 * MACHINED_SD, arm.arm_joints)
+    mounts = (Mount(pose, 1e-4 * np.eye(6), np.zeros(0)) for pose in (arm.T_flange_cfcs, arm.T_flange_tool))
+    return CalibratedRobot.of(CalibratedAxes(arm, np.diag(sd**2), np.zeros((0, 0))), *mounts)
+
+
+@pytest.mark.parametrize("arm", [SIX, SEVEN, six_axis("left")])
+def test_a_line_that_is_reachable_is_found_within_the_limits(arm):
+    """Lines where random joints lay the wire, away from singular positions."""
+    rng, found = np.random.default_rng(7), 0
+    for q in rng.uniform(0.9 * arm.lower + 0.1 * arm.upper, 0.1 * arm.lower + 0.9 * arm.upper, (40, arm.count)):
+        if arm.singular(q[None])[0] < 5 * MIN_SINGULAR:
+            continue
+        tool = arm.T_mcs_tool(q)
+        entry, end = tool.apply([[0.0, 0.0, 30.0], [0.0, 0.0, 90.0]])
+        joints = arm.inverse(entry, end, -30.0)
+        laid = arm.T_mcs_tool(joints)
+        assert np.abs(laid.translation - tool.translation).max() < 1e-6
+        assert np.abs((laid.rotation.as_matrix() - tool.rotation.as_matrix())[:, 2]).max() < 1e-9
+        assert not arm.beyond_limits(joints).any()
+        found += 1
+    assert found > 25
+
+
+def test_a_line_that_no_joints_reach_is_refused():
+    with pytest.raises(RobotRefusedError, match="out of reach"):
+        SIX.inverse(np.array([1500.0, 0.0, 0.0]), np.array([1600.0, 0.0, 0.0]))
+
+
+def test_the_solution_near_a_position_is_that_position():
+    q = at_images(SEVEN)
+    near = SEVEN.inverse(*SEVEN.T_mcs_tool(q).apply([[0.0, 0.0, 0.0], [0.0, 0.0, 50.0]]), near=q)
+    assert np.abs(near - q).max() < np.deg2rad(30.0)
+
+
+def test_a_guide_is_drawn_back_straight():
+    q = at_images(SIX)
+    back = SIX.follow_line(q, -np.arange(10.0, 61.0, 10.0))
+    tool = SIX.T_mcs_tool(q).inv() * SIX.T_mcs_tool(back)
+    assert np.allclose(tool.translation, [[0.0, 0.0, -mm] for mm in range(10, 61, 10)], atol=1e-9)
+
+
+@pytest.mark.parametrize("arm", [SIX, SEVEN])
+def test_axes_of_any_arm_are_calibrated_with_an_honest_error(arm):
+    """Of the flange relative to another pose, as it is used; the nominal axes leave a millimetre."""
+    rng, squares = np.random.default_rng(11), []
+    places = np.array([[80.0, 10.0, 60.0], [-60.0, 50.0, 20.0], [10.0, -70.0, 90.0]])
+    q = at_images(arm) + rng.uniform(-0.5, 0.5, (30, arm.count))
+    true = arm.displaced(np.tile(MACHINED_SD, arm.arm_joints) * rng.standard_normal(6 * arm.arm_joints))
+    measured = np.stack([true.T_mcs_flange(q).apply(place) for place in places], axis=1)
+    found = calibrate_axes(arm, q, measured + 0.03 * rng.standard_normal((30, 3, 3)), 0.03)
+    known = found.manipulator
+    for here in rng.uniform(-0.4, 0.4, (12, arm.count)) + q[0]:
+        moved = [one.T_mcs_flange(q[0]).inv() * one.T_mcs_flange(here) for one in (true, known)]
+        error = known.T_mcs_flange(q[0]).rotation.apply(moved[0].translation - moved[1].translation)
+        design = displacement(known.T_mcs_flange(here).translation)
+        design = design @ (known.axes_jacobian(here) - known.axes_jacobian(q[0]))
+        squares.append(error @ np.linalg.solve(design @ found.covariance @ design.T, error) / 3)
+        assert np.linalg.norm(error) < 0.2
+    assert 0.3 < np.mean(squares) < 2.2  # 36 correlated numbers
+
+
+def test_the_target_of_an_arm_without_feed_states_sleeve_and_depth():
+    robot, q = calibrated(SIX), at_images(SIX)
+    stood = register(robot, {view: PoseAtImage(q, 5.0, 5.0) for view in ("pa", "lateral")})
+    identity = PlanIdentity("plan-1", "right", "SN-7", True)
+    target = robot_target(identity, np.stack([ENTRY_MM, END_MM]), {"planning": 1e-3 * np.eye(6)}, stood, Limits())
+    mouth = SIX.T_mcs_tool(target.q)
+    along = (target.end_mm - target.entry_mm) / target.length_mm
+    assert np.allclose(mouth.translation, target.entry_mm - STANDOFF_MM * along, atol=1e-6)
+    assert np.allclose(target.T_cfcs_wire.translation, END_MM, atol=1e-6)
+    assert target.pushed_mm == pytest.approx(STANDOFF_MM + target.length_mm)
+    assert np.sqrt(along @ target.budget_mm2["sleeve"][3:, 3:] @ along) == pytest.approx(0.3)
+    # Play of 0.05 mm at both ends of a guide of 120 mm, uniform, carried 20 mm on: 0.0144 hypot(1 + 1/6, 1/6).
+    across = np.cross(along, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    assert np.sqrt(across @ target.budget_mm2["sleeve"][:3, :3] @ across) == pytest.approx(0.0170, abs=1e-4)
+
+
+@pytest.fixture
+def rig() -> Rig:
+    """A six-axis arm that has its target, the C-arm drawn back."""
+    robot, q = calibrated(SIX), at_images(SIX)
+    setup = replace(SETUP, frame_mounted=False, c_arm_away=True)
+    rig = Rig(moved=IdealPlant(SIX, q), setup=setup, robot=robot)
+    for step in ("START_UP", "CALIBRATION"):
+        rig.command(step)
+    assert code(rig.send("CLB_1", Transform.of(SIX.T_mcs_cfcs(q).inv()))) == 1
+    rig.command("TARGETING")
+    said = rig.send("TGT_1", Transform.of(wire()), version=2, metadata=metadata())
+    assert code(said, "TARGET") == 1, said
+    return rig
+
+
+def off_mm(rig: Rig) -> float:
+    off = rig.controller.machine.guide_off
+    assert off is not None
+    return off[0]
+
+
+def test_the_guide_is_held_on_the_plan_and_drawn_back(rig):
+    assert contract.HAS_GUIDE in rig.dialogue._capability()[1].types
+    rig.command("MOVE_TO_TARGET")
+    rig.run_until(State.ALIGNED)
+    assert off_mm(rig) < 0.02
+    said = rig.command("DRILL")
+    assert any("no feed" in getattr(message.body, "text", "") for message in said)
+    rig.command("GUIDE")
+    rig.run(1.0)
+    assert rig.state is State.GUIDE
+    held = SIX.T_mcs_tool(rig.plant.q)
+    rig.command("RETRACT")
+    rig.run_until(State.PLANNING)
+    moved = (held.inv() * SIX.T_mcs_tool(rig.plant.q)).translation
+    assert np.allclose(moved, [0.0, 0.0, -60.0], atol=0.05)
+
+
+@pytest.mark.parametrize(("push_mm", "state"), [(0.6, State.GUIDE), (1.3, State.EMERGENCY)])
+def test_a_guide_that_is_pushed_away_is_told_and_beyond_a_millimetre_a_fault(rig, push_mm, state):
+    rig.command("MOVE_TO_TARGET")
+    rig.run_until(State.ALIGNED)
+    rig.command("GUIDE")
+    rig.run(0.1)
+    held = SIX.T_mcs_tool(rig.plant.q)
+    aside = held.apply([push_mm, 0.0, 0.0])
+    rig.plant.q = SIX.inverse(aside, aside + held.apply([0.0, 0.0, 50.0]) - held.translation, near=rig.plant.q)
+    rig.run(0.1)
+    assert rig.state is state
+    if state is State.GUIDE:
+        assert off_mm(rig) == pytest.approx(push_mm, abs=0.02)
+    else:
+        assert rig.controller.machine.fault is not None
+        assert "1.3 mm from the plan" in rig.controller.machine.fault.text
+
+
+MODEL = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="one" pos="0.1 0 0.2" euler="0.1 0.2 0.3"><joint name="turn" axis="0 0 1" range="-2 2" limited="true"/>
+<geom type="capsule" fromto="0 0 0 0 0 .3" size=".05"/>
+<body name="two" pos="0 0.02 0.3" euler="1.2 0 0"><joint name="tilt" axis="0 1 0" pos="0 0 .01" {limits}/>
+<geom type="box" size=".05 .04 .2"/>
+<body name="three" pos="0 0 .3"><joint name="slide" type="slide" axis="1 0 0" range="-.2 .2" limited="true"/>
+<geom type="sphere" size=".03"/><body name="tool0" pos="0 0 .1" euler="0 .3 0"/></body></body></body>
+</worldbody></mujoco>"""
+
+
+def test_an_arm_from_a_file_moves_as_in_mujoco(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    text = MODEL.format(limits='range="-1 2" limited="true"')
+    (tmp_path / "arm.xml").write_text(text)
+    arm = read_arm(tmp_path / "arm.xml", "tool0")
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    for q in np.random.default_rng(3).uniform(arm.lower, arm.upper, (5, 3)):
+        data.qpos[:] = q * [1.0, 1.0, 1e-3]
+        mujoco.mj_kinematics(model, data)
+        flange = arm.T_mcs_flange(q)
+        assert np.allclose(flange.translation, 1e3 * data.body("tool0").xpos, atol=1e-9)
+        assert np.allclose(flange.rotation.as_matrix().ravel(), data.body("tool0").xmat, atol=1e-12)
+    assert arm.joints == ("turn", "tilt", "slide") and np.allclose(arm.upper, [2.0, 2.0, 200.0])
+    assert [(part.name, part.joints, round(part.radius_mm)) for part in arm.parts] == [
+        ("one", 1, 50),
+        ("two", 2, 64),
+        ("three", 3, 30),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("limits", "flange", "feed", "said"),
+    [
+        ("", "tool0", None, "'tilt' has no limits"),
+        ('range="-1 2" limited="true"', "tool1", None, "no body 'tool1'; it has one, two, three, tool0"),
+        ('range="-1 2" limited="true"', "tool0", "tilt", "moves straight"),
+        ('range="-1 2" limited="maybe"', "tool0", None, "not a model that MuJoCo reads"),
+    ],
+)
+def test_a_file_that_is_no_arm_is_refused(tmp_path, limits, flange, feed, said):
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(MODEL.format(limits=limits))
+    with pytest.raises(UnusableInputError, match=said):
+        read_arm(tmp_path / "arm.xml", flange, feed)
