@@ -1,5 +1,6 @@
 """Arms of six and seven axes: kinematics against MuJoCo, the guide held while a person drills, model files."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from sightline.common.checks import Limits
 from sightline.common.geometry.rigid import displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot import contract
+from sightline.robot.arms.arm import Trajectory
+from sightline.robot.arms.streamed import StreamedArm
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Transform
 from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot, Mount, calibrate_axes
@@ -18,6 +21,7 @@ from sightline.robot.kinematics.designs import seven_axis, six_axis
 from sightline.robot.kinematics.manipulator import MIN_SINGULAR, Manipulator
 from sightline.robot.kinematics.model_file import read_arm
 from sightline.robot.kinematics.target import STANDOFF_MM, PlanIdentity, PoseAtImage, register, robot_target
+from sightline.robot.plant import PlantFlag, Reading
 
 SIX, SEVEN = six_axis(), seven_axis()
 AT_IMAGES = RigidTransform.from_components([560.0, 40.0, 170.0], Rotation.from_rotvec([0.0, 0.0, np.pi]))
@@ -30,8 +34,8 @@ def at_images(arm: Manipulator) -> np.ndarray:
 
 def calibrated(arm: Manipulator) -> CalibratedRobot:
     sd = np.tile(0.1 * MACHINED_SD, arm.arm_joints)
-    mounts = (Mount(pose, 1e-4 * np.eye(6), np.zeros(0)) for pose in (arm.T_flange_cfcs, arm.T_flange_tool))
-    return CalibratedRobot.of(CalibratedAxes(arm, np.diag(sd**2), np.zeros((0, 0))), *mounts)
+    frame, guide = (Mount(pose, 1e-4 * np.eye(6), np.zeros(0)) for pose in (arm.T_flange_cfcs, arm.T_flange_tool))
+    return CalibratedRobot.of(CalibratedAxes(arm, np.diag(sd**2), np.zeros((0, 0))), frame, guide)
 
 
 @pytest.mark.parametrize("arm", [SIX, SEVEN, six_axis("left")])
@@ -107,12 +111,10 @@ def test_the_target_of_an_arm_without_feed_states_sleeve_and_depth():
     assert np.sqrt(across @ target.budget_mm2["sleeve"][:3, :3] @ across) == pytest.approx(0.0170, abs=1e-4)
 
 
-@pytest.fixture
-def rig() -> Rig:
-    """A six-axis arm that has its target, the C-arm drawn back."""
-    robot, q = calibrated(SIX), at_images(SIX)
+def rig_with(plant, q: np.ndarray) -> Rig:
+    """A six-axis arm at the joints `q` (6,) that has its target, the C-arm drawn back."""
     setup = replace(SETUP, frame_mounted=False, c_arm_away=True)
-    rig = Rig(moved=IdealPlant(SIX, q), setup=setup, robot=robot)
+    rig = Rig(moved=plant, setup=setup, robot=calibrated(SIX))
     for step in ("START_UP", "CALIBRATION"):
         rig.command(step)
     assert code(rig.send("CLB_1", Transform.of(SIX.T_mcs_cfcs(q).inv()))) == 1
@@ -120,6 +122,16 @@ def rig() -> Rig:
     said = rig.send("TGT_1", Transform.of(wire()), version=2, metadata=metadata())
     assert code(said, "TARGET") == 1, said
     return rig
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return rig_with(IdealPlant(SIX, at_images(SIX)), at_images(SIX))
+
+
+def fault(rig: Rig) -> str:
+    assert rig.controller.machine.fault is not None
+    return rig.controller.machine.fault.text
 
 
 def off_mm(rig: Rig) -> float:
@@ -159,8 +171,7 @@ def test_a_guide_that_is_pushed_away_is_told_and_beyond_a_millimetre_a_fault(rig
     if state is State.GUIDE:
         assert off_mm(rig) == pytest.approx(push_mm, abs=0.02)
     else:
-        assert rig.controller.machine.fault is not None
-        assert "1.3 mm from the plan" in rig.controller.machine.fault.text
+        assert "1.3 mm from the plan" in fault(rig)
 
 
 MODEL = """<mujoco><compiler angle="radian"/><worldbody>
@@ -208,3 +219,107 @@ def test_a_file_that_is_no_arm_is_refused(tmp_path, limits, flange, feed, said):
     (tmp_path / "arm.xml").write_text(MODEL.format(limits=limits))
     with pytest.raises(UnusableInputError, match=said):
         read_arm(tmp_path / "arm.xml", flange, feed)
+
+
+class FollowingArm:
+    """An `Arm` that follows trajectories exactly, some time after they were sent; `spoil` makes it a bad one."""
+
+    LATE_S = 0.02
+
+    def __init__(self, q: np.ndarray, spoil: str = "") -> None:
+        self.time_s, self.q, self.spoil = 0.0, q.copy(), spoil
+        self.joints = SIX.joints
+        self._at, self._begun_s = self.q, 0.0
+        self._followed: Trajectory | None = None
+        self._waiting: list[tuple[float, Trajectory | None]] = []
+
+    def state(self) -> Reading:
+        q = np.full(6, np.nan) if self.spoil == "NaN" else self.q.copy()
+        if self.spoil == "fault":
+            raise RobotRefusedError("joint 3: protective stop")
+        return Reading(0.0 if self.spoil == "frozen" else self.time_s, q, 0.0, PlantFlag.RUN_HELD)
+
+    def follow(self, trajectory: Trajectory) -> None:
+        self._waiting.append((self.time_s + self.LATE_S, trajectory))
+
+    def hold(self) -> None:
+        if self.spoil != "never stops":
+            self._waiting.append((self.time_s + self.LATE_S, None))
+
+    stop = hold
+
+    def advance(self, dt_s: float) -> None:
+        self.time_s += dt_s
+        while self._waiting and self._waiting[0][0] <= self.time_s:
+            self._begun_s, self._followed = self._waiting.pop(0)
+        if self.spoil == "drifts" and self._followed is None:
+            self.q = self.q + dt_s * 6e-4  # 0.3 mm/s at half a metre, of each joint
+        if self.spoil == "never stops":
+            self.q = self.q + dt_s * 0.05
+        elif self._followed is not None:
+            since = self.time_s - self._begun_s
+            at = np.array([np.interp(since, self._followed.time_s, joint) for joint in self._followed.positions.T])
+            moved, self._at = at - self._at, at
+            self.q = self.q + 0.5 * moved if self.spoil == "half speed" else at
+
+
+class Streamed(StreamedArm):
+    """With the time of its arm."""
+
+    def __init__(self, arm: FollowingArm) -> None:
+        super().__init__(arm, lambda: arm.time_s)
+        self.arm = arm
+
+    def advance(self, dt_s: float) -> None:
+        self.arm.advance(dt_s)
+
+
+def streamed(spoil: str = "") -> tuple[Rig, FollowingArm]:
+    """A six-axis arm behind a controller of its own, on its way to its target."""
+    q = at_images(SIX)
+    arm = FollowingArm(q)
+    rig = rig_with(Streamed(arm), q)
+    rig.command("MOVE_TO_TARGET")
+    rig.run(0.5)
+    arm.spoil = spoil
+    return rig, arm
+
+
+def test_an_arm_with_its_own_controller_comes_to_its_target():
+    rig, _ = streamed()
+    rig.run_until(State.ALIGNED)
+    assert off_mm(rig) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        ("frozen", "no sample from the drives"),
+        ("NaN", "gives no number"),
+        ("fault", "protective stop"),
+        ("half speed", "from where it should be"),
+        ("never stops", "from where it should be|still move"),
+    ],
+)
+def test_a_bad_arm_is_stopped_with_its_cause(spoil, said):
+    rig, _ = streamed(spoil)
+    rig.run_until(State.EMERGENCY, 10.0)
+    assert re.search(said, fault(rig))
+
+
+def test_a_guide_that_drifts_while_it_is_held_is_a_fault():
+    rig, arm = streamed()
+    rig.run_until(State.ALIGNED)
+    rig.command("GUIDE")
+    arm.spoil = "drifts"
+    rig.run_until(State.EMERGENCY, 10.0)
+    assert "from the plan" in fault(rig)
+
+
+def test_an_arm_whose_commander_dies_is_at_rest_within_100_ms():
+    _, arm = streamed()
+    arm.advance(FollowingArm.LATE_S + 0.1)  # nobody commands it any more
+    stood = arm.q
+    for _ in range(20):
+        arm.advance(0.01)
+        assert np.abs(arm.q - stood).max() < 1e-12

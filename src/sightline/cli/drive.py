@@ -1,5 +1,6 @@
 """`sightline robot drive`: a planned wire drilled by a robot, and the shots that are measured while it waits."""
 
+import math
 import shlex
 import time
 from collections.abc import Callable
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from sightline.frame import Frame
     from sightline.planning.check.shot import DrillShot
     from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.robot.igtl import Message
     from sightline.robot.kinematics.measured import RobotFile
     from sightline.robot.kinematics.target import Registration, RobotTarget
     from sightline.robot.link.client import RobotClient
@@ -41,6 +43,10 @@ if TYPE_CHECKING:
 
 
 FROM_CASE = "case"  # instead of files
+# A guide that is further off is told to the person who drills: a third of what is a fault, and a direction like it
+# [ours].
+GUIDE_TOLD_MM, GUIDE_TOLD_RAD = 0.3, math.radians(0.3)
+_STILL_MM, _STILL_ASKS = 1e-3, 3  # a simulated hand has ended after so many answers without a movement
 
 
 @dataclass(frozen=True)
@@ -167,14 +173,18 @@ def _carry_out(
 
 def _ended(output: Output, robot: "RobotClient", plan: "PlanFile", shots: "DriveShots | None") -> dict[str, Any]:
     """Print the robot's state and return it as a document, with where the tip lies and the shots that were measured."""
-    state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
+    from sightline.robot import contract
+
+    state, reached_mm = robot.status().text.split(";")[0], robot.position().translation
     output.say(f"state of the robot: {state}")
-    document: dict[str, Any] = {"state": state, "tip_mm": tip_mm, "end_mm": plan.points_mm[1]}
+    # Where a person drilled, the robot knows where the mouth of its guide is, not the tip.
+    by_hand = contract.HAS_GUIDE in robot.capabilities
+    document: dict[str, Any] = {"state": state, "tip_mm": None if by_hand else reached_mm, "end_mm": plan.points_mm[1]}
     return document if shots is None else {**document, "shots": shots.document()}
 
 
 UNFINISHED = (
-    "the wire is in the bone and was not drilled to its end; drive this plan again, while it is valid, to drill it on"
+    "the wire is in the bone and its drilling was not ended; drive this plan again, while it is valid, to drill it on"
 )
 
 
@@ -313,9 +323,84 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, block: bool, put_back
         ),
     )
     first = [off] if block else []
+    if contract.HAS_GUIDE in robot.capabilities:
+        return [*first, *_guiding_steps(robot, target, again_off)]
     if contract.HAS_DRILLING not in robot.capabilities:
         return [*first, straight]
     return [*first, *(() if robot.simulated else dry), *drilling]
+
+
+def _guiding_steps(robot: "RobotClient", target: "RobotTarget", again_off: str) -> list[_Step]:
+    """Return each step with an arm that holds the guide while a person drills through it."""
+    from sightline.planning.check.shot import ALIGNED
+    from sightline.robot.kinematics.target import READ_DEPTH_SD_MM
+
+    guide_mm, watch = target.registration.robot.manipulator.guide_mm, GuideWatch()
+    robot.listeners.append(watch.heard)
+    return [
+        _Step(
+            "align",
+            f"The arm goes to the line without a wire, then straight along it, and stops {target.standoff_mm:.0f} mm "
+            "before the bone. Is the way clear?",
+            robot.align,
+        ),
+        _Step(
+            "hold the guide",
+            f"{again_off}Does the confirmation shot show the guide on the plan? The robot will hold it; then push the "
+            "inner sleeve to the bone and drill by hand.",
+            robot.guide,
+            ALIGNED,
+        ),
+        _Step(
+            "drilled by hand",
+            f"Drill until {target.pushed_mm:.1f} mm of the wire have left the guide's mouth: until its free length "
+            f"behind the guide is its whole length less {target.pushed_mm + guide_mm:.1f} mm. A length that is read "
+            f"adds {2 * READ_DEPTH_SD_MM:.1f} mm to the depth's error (95 %). Is it drilled?",
+            lambda: watch.ended(robot),
+            drills_on=True,
+        ),
+        _Step(
+            "draw the guide back",
+            "Is the drill off the wire? The guide draws back along it, 60 mm.",
+            robot.retract,
+            drills_on=True,
+        ),
+    ]
+
+
+class GuideWatch:
+    """Says when the guide that a robot holds is off the plan, and remembers by how much at most: mm, rad."""
+
+    def __init__(self) -> None:
+        self.largest = (0.0, 0.0)
+        self._told = False
+
+    def heard(self, message: "Message") -> None:
+        """Take a message of the robot."""
+        from sightline.robot import contract
+        from sightline.robot.igtl import Sensor
+
+        if message.device_name != contract.GUIDE_OFF or not isinstance(message.body, Sensor):
+            return
+        off_mm, off_rad = (float(value) for value in message.body.values)
+        self.largest = (max(self.largest[0], off_mm), max(self.largest[1], off_rad))
+        beyond = off_mm > GUIDE_TOLD_MM or off_rad > GUIDE_TOLD_RAD
+        if beyond and not self._told:
+            _answer(f"the guide is {_off(off_mm, off_rad)} from the plan: press less against it")
+        self._told = beyond
+
+    def ended(self, robot: "RobotClient") -> None:
+        """Wait for the hand of a simulated person, and say how far the guide was off while the wire was drilled."""
+        if robot.simulated:
+            tip, still = robot.simulated_wire().wire_mm[2], 0
+            while still < _STILL_ASKS:
+                before, tip = tip, robot.simulated_wire().wire_mm[2]
+                still = still + 1 if abs(tip - before).max() < _STILL_MM else 0
+        _answer(f"the guide was at most {_off(*self.largest)} from the plan")
+
+
+def _off(mm: float, rad: float) -> str:
+    return f"{mm:.2f} mm and {math.degrees(rad):.2f}°"
 
 
 def _send(robot: "RobotClient", plan: "PlanFile", name: str, simulator: Simulator) -> "RobotTarget":

@@ -24,12 +24,13 @@ class PlantFlag(Flag):
 @dataclass(frozen=True, eq=False)
 class Reading:
     """One sample of a plant: `time_s` since its start, `encoders` (n,) in mm and rad, and `force_n` along the wire,
-    positive when bone pushes back."""
+    positive when bone pushes back. `fault`: what a controller of its own reports, "" if nothing."""
 
     time_s: float
     encoders: np.ndarray
     force_n: float
     flags: PlantFlag
+    fault: str = ""
 
 
 class Plant(Protocol):

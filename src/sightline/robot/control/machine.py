@@ -48,7 +48,9 @@ class Samples:
         self.latest = reading
 
     def missing(self, now_s: float) -> str | None:
-        """Return why there is no valid sample of the plant; None if there is one."""
+        """Return why there is no valid sample of the plant, or the fault it reports; None if all is well."""
+        if self.latest.fault:
+            return f"the arm's controller reports a fault: {self.latest.fault}"
         if not self._sound:
             return "an encoder or the force sensor gives no number"
         if self._sampled_s is None or now_s - self._sampled_s > WATCHDOG_S:
