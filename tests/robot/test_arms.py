@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import SEVEN, SIX, at_images, calibrated
 from rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig, code, metadata, wire
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.common.checks import Limits
 from sightline.common.geometry.rigid import displacement
@@ -16,26 +16,12 @@ from sightline.robot.arms.arm import Trajectory
 from sightline.robot.arms.streamed import StreamedArm
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Transform
-from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot, Mount, calibrate_axes
-from sightline.robot.kinematics.designs import seven_axis, six_axis
-from sightline.robot.kinematics.manipulator import MIN_SINGULAR, Manipulator
+from sightline.robot.kinematics.calibrated import MACHINED_SD, calibrate_axes
+from sightline.robot.kinematics.designs import six_axis
+from sightline.robot.kinematics.manipulator import MIN_SINGULAR
 from sightline.robot.kinematics.model_file import read_arm
 from sightline.robot.kinematics.target import STANDOFF_MM, PlanIdentity, PoseAtImage, register, robot_target
 from sightline.robot.plant import PlantFlag, Reading
-
-SIX, SEVEN = six_axis(), seven_axis()
-AT_IMAGES = RigidTransform.from_components([560.0, 40.0, 170.0], Rotation.from_rotvec([0.0, 0.0, np.pi]))
-
-
-def at_images(arm: Manipulator) -> np.ndarray:
-    """Joints with the frame upright, its hip ahead of the base."""
-    return arm.inverse_pose(AT_IMAGES * arm.T_flange_cfcs.inv() * arm.T_flange_tool)
-
-
-def calibrated(arm: Manipulator) -> CalibratedRobot:
-    sd = np.tile(0.1 * MACHINED_SD, arm.arm_joints)
-    frame, guide = (Mount(pose, 1e-4 * np.eye(6), np.zeros(0)) for pose in (arm.T_flange_cfcs, arm.T_flange_tool))
-    return CalibratedRobot.of(CalibratedAxes(arm, np.diag(sd**2), np.zeros((0, 0))), frame, guide)
 
 
 @pytest.mark.parametrize("arm", [SIX, SEVEN, six_axis("left")])

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from arms import SIX, as_mjcf, calibrated
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError, UnusableInputError
@@ -28,7 +29,7 @@ def true_robot(seed: int = 3) -> Manipulator:
 def measurements(true: Manipulator, seed: int = 4, **changed) -> dict:
     """What a person measures on it with a tracker of 0.03 mm."""
     rng = np.random.default_rng(seed)
-    q = rng.uniform(0.8 * true.lower, 0.8 * true.upper, (20, 5))
+    q = rng.uniform(0.8 * true.lower, 0.8 * true.upper, (20, true.count))
     places = np.array([[40.0, 10.0, -20.0], [-35.0, 25.0, 30.0], [5.0, -50.0, 60.0]])
     targets = np.stack([true.T_mcs_flange(q).apply(place) for place in places], axis=1)
     own = rng.uniform(-60.0, 60.0, (8, 3))
@@ -157,3 +158,37 @@ def test_another_side_frame_or_day_is_refused(robot):
     for days in (91, -1):
         with pytest.raises(RobotRefusedError, match="was calibrated on"):
             robot.refuse_other("right", "SN-7", "", now + timedelta(days=days).total_seconds())
+
+
+def test_an_arm_of_six_joints_has_a_file_too_and_older_files_are_read(robot, tmp_path):
+    six = true_manipulator(calibrated(SIX), np.random.default_rng(5))
+    (tmp_path / "six.json").write_text(json.dumps(measurements(six) | {"arm": "six-axis"}))
+    file = RobotFile.calibrated(Measurements.read(tmp_path / "six.json"))[0]
+    file.write(tmp_path / "robot.json")
+    read = RobotFile.read(tmp_path / "robot.json").robot().manipulator
+    assert (read.joints, read.has_feed, read.guide_mm) == (SIX.joints, False, SIX.guide_mm)
+    assert np.allclose(read.lower, SIX.lower)
+    with pytest.raises(UnusableInputError, match="6 finite"):
+        file.at_image("pa", IMAGED, 1.7e9, "image.png")
+    version_1 = json.loads(robot.model_dump_json(by_alias=True)) | {"schema": "sightline-robot/1"}
+    kept = ("axes", "T_mcs_flange_home", "T_flange_cfcs", "T_flange_tool")
+    version_1["manipulator"] = {name: version_1["manipulator"][name] for name in kept}
+    (tmp_path / "old.json").write_text(json.dumps(version_1))
+    assert RobotFile.read(tmp_path / "old.json") == robot
+
+
+def test_an_arm_from_a_model_file_is_calibrated(tmp_path):
+    """The six-axis arm as MJCF, its joints named otherwise."""
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(as_mjcf(SIX))
+    six = true_manipulator(calibrated(SIX), np.random.default_rng(5))
+    arm = {"model": "arm.xml", "flange": "flange"}
+    (tmp_path / "six.json").write_text(json.dumps(measurements(six) | {"arm": arm}))
+    file = RobotFile.calibrated(Measurements.read(tmp_path / "six.json"), tmp_path)[0]
+    q = np.full(6, 0.3)
+    off = file.robot().manipulator.T_mcs_flange(q).inv() * six.T_mcs_flange(q)
+    assert np.linalg.norm(off.translation) < 0.2
+    assert file.manipulator.joints[0] == "axis-0"
+    (tmp_path / "six.json").write_text(json.dumps(measurements(six) | {"arm": arm | {"model": "../arm.xml"}}))
+    with pytest.raises(UnusableInputError, match=r"arm\..*model"):
+        Measurements.read(tmp_path / "six.json")

@@ -201,7 +201,7 @@ def calibrate(
     from sightline.robot.kinematics.measured import Measurements, RobotFile
 
     measured, known = Measurements.read(measurements), None if frame is None else Frame.load(frame)
-    robot, rms = RobotFile.calibrated(measured)
+    robot, rms = RobotFile.calibrated(measured, measurements.parent)
     if known is not None:
         robot = robot.of_frame(known.serial, known.fingerprint)
     robot.write(out_file)

@@ -25,6 +25,7 @@ from sightline.robot.kinematics.calibrated import (
 )
 from sightline.robot.kinematics.designs import DESIGNS, Design, nominal_manipulator
 from sightline.robot.kinematics.manipulator import Capsule, Manipulator
+from sightline.robot.kinematics.model_file import read_arm
 from sightline.robot.kinematics.target import LIFETIME_S, PoseAtImage, Registration, register
 
 CALIBRATION_DAYS = 90  # validity of a calibration: a knock on the flange goes unnoticed [ours]
@@ -70,6 +71,14 @@ class WirePart(_Part):
     tip_flange_mm: Annotated[list[Coordinates], Field(max_length=500)]
 
 
+class ModelPart(_Part):
+    """An arm in an MJCF or URDF file beside the measurements; its flange's body, and the joint that feeds the wire."""
+
+    model: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^/\\\\]+$")]
+    flange: Annotated[str, Field(min_length=1, max_length=200)]
+    feed: Annotated[str | None, Field(max_length=200)] = None
+
+
 class Measurements(_Part):
     """Measurements of one robot, the input of its calibration."""
 
@@ -77,7 +86,7 @@ class Measurements(_Part):
     robot_serial: Serial
     frame_serial: Serial
     side: Side
-    arm: Design = "manipulator"
+    arm: Design | ModelPart = "manipulator"
     measured_on: datetime
     axes: AxesPart
     frame: FramePart
@@ -195,12 +204,13 @@ class RobotFile(_Part):
         return {**data, "schema": "sightline-robot/2", "manipulator": known | part if isinstance(part, dict) else part}
 
     @staticmethod
-    def calibrated(measurements: Measurements) -> "tuple[RobotFile, dict[str, float]]":
-        """Return the robot from its measurements, and the rms residual of each calibration, mm.
+    def calibrated(measurements: Measurements, folder: Path = Path()) -> "tuple[RobotFile, dict[str, float]]":
+        """Return the robot from its measurements, and the rms residual of each calibration, mm. `folder`: of the file
+        of measurements, for an arm from a model file.
 
         Raises UnusableInputError, and RobotRefusedError for measurements that contradict each other."""
         axes = calibrate_axes(
-            DESIGNS[measurements.arm](measurements.side),
+            _arm(measurements, folder),
             _even(measurements.axes.q),
             _even(measurements.axes.targets_mm),
             measurements.axes.sd_mm,
@@ -369,6 +379,14 @@ def _read(file: Path, model: type[Any]) -> Any:
         raise UnusableInputError(f"{file.name}: {where}: {first['msg']}") from None
     except (JSONDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise UnusableInputError(f"{file.name} is not JSON: {str(error)[:200]}") from None
+
+
+def _arm(measurements: Measurements, folder: Path) -> Manipulator:
+    """Return the arm as designed."""
+    arm = measurements.arm
+    if isinstance(arm, ModelPart):
+        return read_arm(folder / arm.model, arm.flange, arm.feed)
+    return DESIGNS[arm](measurements.side)
 
 
 def _even(rows: list[list[Any]]) -> np.ndarray:
