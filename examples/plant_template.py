@@ -29,12 +29,12 @@ class Motors:
     """
 
     def __init__(self, position: np.ndarray) -> None:
-        self.position, self.velocity, self.force_n = position, np.zeros(5), 0.0
+        self.position, self.velocity, self.force_n = position, np.zeros_like(position), 0.0
         self.stop_pressed, self.run_held, self.drill = False, True, False
         self._set_s = time.monotonic()
 
     def set_velocity(self, velocity: np.ndarray) -> None:
-        """Set the velocities of lift, traverse, yaw, pitch and feed, mm/s and rad/s."""
+        """Set the joints' velocities, from the base to the flange, mm/s and rad/s."""
         self.velocity, self._set_s = velocity, time.monotonic()
 
     def step(self, dt_s: float) -> None:
@@ -81,7 +81,7 @@ class MotorPlant:
 
     def hold(self) -> None:
         """Stop the joints and the drill."""
-        self.command(np.zeros(5), drill_on=False)
+        self.command(np.zeros(self._manipulator.count), drill_on=False)
 
     # The loop.
 
@@ -116,7 +116,11 @@ def main(file: str, port: str = "18936") -> None:
     robot = known.robot()
     # What a person confirmed at the robot: side, frame, and whether the wire enters bone. Here it moves through air.
     setup = Setup(known.side, known.frame_serial, into_bone=False, frame=known.frame)
-    motors = Motors(np.array([3.0, -5.0, np.pi / 4 if known.side == "right" else -np.pi / 4, 0.0, 0.5]))
+    if robot.manipulator.has_feed:
+        start = np.array([3.0, -5.0, np.pi / 4 if known.side == "right" else -np.pi / 4, 0.0, 0.5])
+    else:
+        start = (robot.manipulator.lower + robot.manipulator.upper) / 2
+    motors = Motors(start)
     with MotorPlant(motors, robot.manipulator) as plant:
         controller = Controller(robot, plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
         with RobotServer(controller, plant, port=int(port)) as server:

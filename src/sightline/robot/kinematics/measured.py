@@ -374,7 +374,7 @@ def _read(file: Path, model: type[Any]) -> Any:
         data = read_bounded(file, MAX_TEXT_BYTES, UnusableInputError, "give a robot's own file")
         return model.model_validate(loads(data))
     except ValidationError as error:
-        first = error.errors()[0]
+        first = max(error.errors(), key=lambda one: len(one["loc"]))  # of alternatives the one that was meant
         where = ".".join(map(str, first["loc"]))
         raise UnusableInputError(f"{file.name}: {where}: {first['msg']}") from None
     except (JSONDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
