@@ -12,7 +12,7 @@ from sightline.common.checks import Limits
 from sightline.common.geometry.rigid import displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot import contract
-from sightline.robot.arms.arm import Trajectory
+from sightline.robot.arms.adapter import JointTrajectory
 from sightline.robot.arms.streamed import StreamedArm
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Transform
@@ -208,7 +208,7 @@ def test_a_file_that_is_no_arm_is_refused(tmp_path, limits, flange, feed, said):
 
 
 class FollowingArm:
-    """An `Arm` that follows trajectories exactly, some time after they were sent; `spoil` makes it a bad one."""
+    """An `ArmAdapter` that follows trajectories exactly, some time after they were sent; `spoil` makes it a bad one."""
 
     LATE_S = 0.02
 
@@ -216,8 +216,8 @@ class FollowingArm:
         self.time_s, self.q, self.spoil = 0.0, q.copy(), spoil
         self.joints = SIX.joints
         self._at, self._begun_s = self.q, 0.0
-        self._followed: Trajectory | None = None
-        self._waiting: list[tuple[float, Trajectory | None]] = []
+        self._followed: JointTrajectory | None = None
+        self._waiting: list[tuple[float, JointTrajectory | None]] = []
 
     def state(self) -> Reading:
         q = np.full(6, np.nan) if self.spoil == "NaN" else self.q.copy()
@@ -225,7 +225,7 @@ class FollowingArm:
             raise RobotRefusedError("joint 3: protective stop")
         return Reading(0.0 if self.spoil == "frozen" else self.time_s, q, 0.0, PlantFlag.RUN_HELD)
 
-    def follow(self, trajectory: Trajectory) -> None:
+    def follow(self, trajectory: JointTrajectory) -> None:
         self._waiting.append((self.time_s + self.LATE_S, trajectory))
 
     def hold(self) -> None:

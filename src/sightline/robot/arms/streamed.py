@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.arms.arm import Arm, Trajectory
+from sightline.robot.arms.adapter import ArmAdapter, JointTrajectory
 from sightline.robot.plant import CYCLE_S, Reading
 
 # Each trajectory goes on for AHEAD_S and is at rest after REST_S: an arm whose commander dies stops within 100 ms by
@@ -18,7 +18,7 @@ SEND_S, AHEAD_S, REST_S = 4 * CYCLE_S, 0.06, 0.1
 class StreamedArm:
     """A `Plant` on an `arm`: velocities become short trajectories that end at rest. It has no drill."""
 
-    def __init__(self, arm: Arm, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, arm: ArmAdapter, clock: Callable[[], float] = time.monotonic) -> None:
         self._arm, self._clock = arm, clock
         self._latest = arm.state()
         self._commanded: np.ndarray | None = None  # position, while it moves
@@ -48,7 +48,7 @@ class StreamedArm:
             ahead = at + AHEAD_S * velocity
             rest = ahead + (REST_S - AHEAD_S) / 2 * velocity
             self._arm.follow(
-                Trajectory(
+                JointTrajectory(
                     np.array([0.0, AHEAD_S, REST_S]),
                     np.stack([at, ahead, rest]),
                     np.stack([velocity, velocity, np.zeros_like(velocity)]),

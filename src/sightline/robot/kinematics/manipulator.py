@@ -24,6 +24,7 @@ LEVER_MM = 300.0  # [ours] weighs an angle against a length: about the distance 
 # [ours] smallest singular value of the wire's motion per joint motion, with angles times LEVER_MM; below it joints must
 # move a hundred times as far as the wire.
 MIN_SINGULAR = 0.01
+_DETERMINED = 5  # joints that a line determines: the solution from the first start is as good as any [calc]
 _SHARE = 0.5  # [ours] of the best quality that a solution needs to be ranked by its travel
 
 
@@ -292,7 +293,9 @@ class Manipulator:
         self, tip: np.ndarray, direction: np.ndarray, rotation: np.ndarray | None, near: np.ndarray | None
     ) -> np.ndarray:
         middle = (self.lower + self.upper) / 2 if near is None else np.asarray(near, dtype=np.float64)
-        found = self._wrapped(self._newton(np.vstack([middle, self._starts]), tip, direction, rotation), middle)
+        found = self._wrapped(self._newton(middle[None], tip, direction, rotation), middle)
+        if self.count > _DETERMINED or not len(found) or self.beyond_limits(found).any():
+            found = self._wrapped(self._newton(np.vstack([middle, self._starts]), tip, direction, rotation), middle)
         if not len(found):
             raise RobotRefusedError(
                 "the line is out of reach: no position of the joints lays the wire on it, so it is too far away, too "

@@ -9,7 +9,7 @@ from sightline.robot.plant import Reading
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class JointTrajectory:
     """Joint `positions` (N, n) and `velocities` (N, n) at `time_s` (N,) after its start, from rest to rest; rad or mm.
 
     It begins at the arm's present position. Between two samples the arm interpolates.
@@ -20,7 +20,7 @@ class Trajectory:
     velocities: np.ndarray
 
 
-class Arm(Protocol):
+class ArmAdapter(Protocol):
     """An arm of n joints with a controller of its own. Every method returns at once; what the controller reports later
     appears in `state`. If this process dies the arm must stop by itself within 100 ms."""
 
@@ -34,7 +34,7 @@ class Arm(Protocol):
         RobotRefusedError if the controller reports a fault, with its text."""
         ...
 
-    def follow(self, trajectory: Trajectory) -> None:
+    def follow(self, trajectory: JointTrajectory) -> None:
         """Begin a trajectory; it replaces any other. Raises RobotRefusedError if the controller refuses it."""
 
     def hold(self) -> None:
