@@ -29,6 +29,7 @@ DEPTH_SLACK_MM = 1.0
 MIN_SLACK_MM, MAX_SLACK_MM = 0.2, 30.0
 # A base this near the hip, or a target this near the frame's origin, mm, must have been sent in metres [ours].
 BASE_IN_METRES, TARGET_IN_METRES = 10.0, 1.0
+_SAME_Q = 1e-6  # mm or rad: what the inverse's start makes of the same line is 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +102,12 @@ class Insertion:
         return STANDOFF_MM + self.limits.before_mm
 
     def is_same(self, other: "Insertion") -> bool:
-        """Return whether the other has this registration and target, number for number."""
+        """Return whether the other has this registration and target, number for number, and leads to these joints."""
         ours, theirs = ((one.T_mcs_cfcs.as_matrix(), one.sent.matrix) for one in (self, other))
         return (
             all(map(np.array_equal, ours, theirs))
             and (self.length_mm, self.limits) == (other.length_mm, other.limits)
-            and np.array_equal(self.q, other.q)
+            and np.allclose(self.q, other.q, atol=_SAME_Q)
         )
 
     def waypoints(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
