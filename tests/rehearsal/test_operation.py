@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 from tests.robot.rig import END_MM, ENTRY_MM, wait_for
 
 from sightline.common.checks import Limits
@@ -12,9 +13,10 @@ from sightline.errors import RobotRefusedError
 from sightline.rehearsal.operation import SLEEVE_MM, InsertionOutcome, SimulatedTheatre, registered
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.designs import FEED, imaging_yaw, nominal_manipulator
-from sightline.robot.kinematics.target import PlanIdentity, robot_target
+from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target
 from sightline.robot.link.client import RobotClient
 from sightline.studies.fig15 import Figure15
+from sightline.twin.robot.plant import Hand
 
 IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])
 
@@ -62,6 +64,39 @@ def test_a_second_insertion_finds_its_line_where_the_images_had_it():
                 with pytest.raises(RobotRefusedError, match=r"out of reach|feed"):
                     robot_target(target.identity, wire, budget, left, Limits())
             wait_for(lambda: server.dialogue.controller.lease is None)
+
+
+def drilled_in_air(theatre: SimulatedTheatre) -> tuple[InsertionOutcome, RobotTarget]:
+    """Align, guide and drill a wire of 40 mm, and compare it with its plan."""
+    wire, budget = np.stack([ENTRY_MM, END_MM]), {"planning": 0.01 * np.eye(6)}
+    registration = registered(theatre.robot, theatre.imaged, time.monotonic())
+    target = robot_target(PlanIdentity("1", "right", "SN-7", go=True), wire, budget, registration, Limits())
+    theatre.drill(target, target.length_mm + 1.0)
+    return theatre.outcome(wire), target
+
+
+@pytest.mark.parametrize("arm", ["six-axis", "seven-axis"])
+def test_a_person_drills_through_the_guide_that_an_arm_holds(arm, monkeypatch):
+    pytest.importorskip("mujoco")
+    monkeypatch.setattr("sightline.twin.robot.plant.HAND_MM_S", 10.0)
+    theatre = SimulatedTheatre.in_air("right", "SN-7", arm=arm)
+    outcome, target = drilled_in_air(theatre)
+    assert outcome.entry_mm < 1.0
+    assert outcome.end_mm < 2.0  # its depth is read
+    assert np.rad2deg(outcome.angle_rad) < 0.6
+    assert theatre.plant.guide_mm == pytest.approx(target.standoff_mm - SLEEVE_MM)
+    assert theatre.plant.pushed_mm == pytest.approx(target.pushed_mm, abs=1.5)
+
+
+def test_a_guide_that_is_pushed_away_stops_the_person(monkeypatch):
+    pytest.importorskip("mujoco")
+    monkeypatch.setattr(
+        Hand, "draw", lambda goal, *_: Hand(goal, RigidTransform.identity(), np.array([60.0, 0.0, 0.0]))
+    )
+    theatre = SimulatedTheatre.in_air("right", "SN-7", arm="six-axis")
+    with pytest.raises(RobotRefusedError, match="pushed away"):
+        drilled_in_air(theatre)
+    assert theatre.plant.pushed_mm < 5.0
 
 
 @pytest.mark.parametrize("state", [State.ALIGNED, State.DRILL])

@@ -11,12 +11,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
-from sightline.robot.kinematics.designs import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator
+from sightline.rehearsal.operation import joints_at_images
+from sightline.robot.kinematics.designs import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator, seven_axis, six_axis
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag
 from sightline.twin.objects.volumes import Volume
 from sightline.twin.robot.drilling import Bone
 from sightline.twin.robot.mjcf import Build, mjcf, units
-from sightline.twin.robot.plant import SimulatedPlant
+from sightline.twin.robot.plant import Hand, SimulatedPlant
 
 pytest.importorskip("mujoco")
 NOMINAL = nominal_manipulator()
@@ -39,15 +40,24 @@ def displaced(seed):
     return NOMINAL.displaced(np.random.default_rng(seed).uniform(-1, 1, (6, 6)) * np.repeat([3e-3, 1.0], 3))
 
 
-@pytest.mark.parametrize("robot", [NOMINAL, displaced(1), nominal_manipulator("left").displaced(np.full((6, 6), 1e-3))])
+@pytest.mark.parametrize(
+    "robot",
+    [
+        NOMINAL,
+        displaced(1),
+        nominal_manipulator("left").displaced(np.full((6, 6), 1e-3)),
+        six_axis(),
+        seven_axis("left"),
+    ],
+)
 def test_without_springs_mujoco_has_the_closed_form_kinematics(robot):
     mujoco = import_module("mujoco")
-    model = mujoco.MjModel.from_xml_string(mjcf(robot, Build()))
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, Build.of(robot)))
     data = mujoco.MjData(model)
     rng = np.random.default_rng(2)
     for _ in range(20):
         q = rng.uniform(robot.lower, robot.upper)
-        for joint, name in enumerate(("lift", "traverse", "yaw", "pitch", "feed")):
+        for joint, name in enumerate(robot.joints):
             data.qpos[model.joint(name).qposadr[0]] = q[joint] * units(robot)[joint]
         mujoco.mj_kinematics(model, data)
         for site, pose in (
@@ -55,8 +65,90 @@ def test_without_springs_mujoco_has_the_closed_form_kinematics(robot):
             ("flange", robot.T_mcs_flange(q)),
             ("cfcs", robot.T_mcs_cfcs(q)),
         ):
-            assert np.abs(data.site(site).xpos * 1e3 - pose.translation).max() < 1e-6
+            assert np.abs(data.site(site).xpos * 1e3 - pose.translation).max() < 1e-9
             assert np.abs(data.site(site).xmat.reshape(3, 3) - pose.rotation.as_matrix()).max() < 1e-9
+
+
+def guiding(robot) -> tuple[SimulatedPlant, RigidTransform]:
+    """An arm that holds a guide before a hip, and where the guide truly is."""
+    one = plant(robot, start=joints_at_images(robot, np.pi / 4))
+    return one, one._body.pose("tool")
+
+
+def shifted_mm(one: SimulatedPlant, since: RigidTransform) -> float:
+    return float(np.linalg.norm(one._body.pose("tool").translation - since.translation))
+
+
+@pytest.mark.parametrize(("robot", "most_mm"), [(six_axis(), 0.35), (seven_axis(), 0.5)])
+def test_a_push_of_20_n_bends_an_arm_and_one_of_60_n_moves_it_away(robot, most_mm):
+    one, held = guiding(robot)
+    encoders = one.read().encoders
+    one.advance(0.2)  # it carries its own weight
+    assert np.abs(one.read().encoders - encoders).max() < 2 * robot.resolution[0]
+    assert shifted_mm(one, held) < 0.01
+    for newtons in (20.0, 60.0):
+        one.drill_by_hand(100.0)
+        one._hand = replace(one._hand, push_n=np.array([0.0, newtons, 0.0]))
+        one.advance(1.5)
+        if newtons == 20.0:
+            assert 0.1 < shifted_mm(one, held) < most_mm
+            one.let_go()
+            one.advance(0.5)
+            assert shifted_mm(one, held) < 0.1  # up to its play
+    before, after = (robot.T_mcs_tool(q).translation for q in (encoders, one.read().encoders))
+    assert np.linalg.norm(after - before) > 1.0
+
+
+def test_a_person_drills_along_the_guide_and_the_wire_stays():
+    robot = six_axis()
+    one, guide = guiding(robot)
+    one.push_n = 0.0
+    one.drill_by_hand(1.5)
+    goal = one._hand.goal_mm
+    one.advance(goal + 0.2)
+    wire = guide.inv() * one.true_T_mcs_tool()
+    assert wire.translation[2] == pytest.approx(goal, abs=0.01)
+    assert np.abs(wire.translation[:2]).max() < 0.05
+    assert one.true_wire_mm()[0] == pytest.approx(guide.translation, abs=0.06)
+    laid = one.true_T_mcs_tool().translation
+    driven(one, np.eye(6)[1] * 0.05, 0.2)
+    assert one.true_T_mcs_tool().translation == pytest.approx(laid, abs=1e-12)
+
+
+def test_the_play_of_a_sleeve_the_push_and_the_read_depth_are_as_stated():
+    """Half of 0.05 mm at either end of a guide of 120 mm, uniform; up to 20 N across; 0.3 mm, 1 s.d."""
+    rng = np.random.default_rng(3)
+    drawn = [Hand.draw(60.0, 120.0, 20.0, rng) for _ in range(400)]
+    ends = np.array([hand.T_tool_wire.apply([[0.0, 0.0, 0.0], [0.0, 0.0, -120.0]])[:, :2] for hand in drawn])
+    assert 0.024 < np.abs(ends).max() < 0.02501
+    assert np.std(ends) == pytest.approx(0.05 / np.sqrt(12), rel=0.05)
+    push = np.array([hand.push_n for hand in drawn])
+    assert 19.0 < np.linalg.norm(push, axis=1).max() <= 20.0
+    assert np.abs(push[:, 2]).max() == 0.0
+    assert np.std([hand.goal_mm - 60.0 for hand in drawn]) == pytest.approx(0.3, rel=0.1)
+
+
+def test_an_arm_of_other_joints_needs_masses():
+    five = replace(
+        six_axis(),
+        has_feed=False,
+        **{
+            name: getattr(six_axis(), name)[:5]
+            for name in (
+                "joints",
+                "axes",
+                "lower",
+                "upper",
+                "speed",
+                "acceleration",
+                "resolution",
+                "backlash",
+                "stiffness",
+            )
+        },
+    )
+    with pytest.raises(SetUpError, match="masses"):
+        plant(five, start=np.zeros(5))
 
 
 def test_encoders_count_in_their_resolution():

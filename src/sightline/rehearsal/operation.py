@@ -10,17 +10,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.common.geometry.lines import across, angle_rad, unit
+from sightline.errors import LinkError, RobotRefusedError
 from sightline.frame import Frame
 from sightline.planning import Plan
 from sightline.planning.verdict.relations import refuse_unrelated
+from sightline.robot import contract
+from sightline.robot.contract import STATUS_S
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import IN_SLEEVE_MM, Insertion, OwnFrames, Setup
 from sightline.robot.control.states import State
-from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot, Mount
-from sightline.robot.kinematics.designs import FEED, YAW, imaging_yaw, nominal_manipulator
+from sightline.robot.igtl import Status
+from sightline.robot.kinematics.calibrated import (
+    COMPLIANCE_SD,
+    MACHINED_SD,
+    CalibratedAxes,
+    CalibratedRobot,
+    Mount,
+)
+from sightline.robot.kinematics.designs import AHEAD, DESIGNS, FEED, GUIDED_HIP_MM, MOUTH_MM, YAW, Design, imaging_yaw
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.target import (
     PlanIdentity,
@@ -47,23 +57,53 @@ MOUNT_SD = np.array([3e-4] * 3 + [0.1] * 3)
 # Share of the axes' machining errors that remains after calibration. 30 poses of three targets, 0.03 mm each, leave
 # less; this adds 0.01 mm at the wire [calc].
 REMAINING_SHARE = 0.1
-# Deviation of the robot's base from its ideal place, in joint units: a person brings it to the table [ours].
+# Largest deviation of the robot's base from its ideal place, in joint units: a person brings it to the table [ours]; of
+# an arm that holds a guide as a twist about its mouth.
 BASE_SPREAD = np.array([10.0, 10.0, np.deg2rad(2.0), np.deg2rad(2.0), 0.0])
+GUIDE_SPREAD = np.array([np.deg2rad(2.0)] * 3 + [10.0] * 3)
+# By the number of such an arm's joints, at the images: the hip ahead of its base along the wire and above it, mm, and
+# the joints, to whose first the yaw is added: far from limits, singular positions, patient, table and C-arm [calc].
+AT_HIP = {
+    6: (850.0, 100.0, np.deg2rad([18.0, -110.0, -120.0, -130.0, -72.0, 0.0])),
+    7: (900.0, 400.0, np.deg2rad([30.0, 17.0, -34.0, -127.0, -4.0, 231.0, -78.0])),
+}
+# Of such an arm, as COMPLIANCE_SD: it is pushed by up to 20 N at the guide, and carries itself [calc].
+GUIDE_COMPLIANCE_SD = np.array([2e-4] * 3 + [0.07] * 3)
+# A drilled wire stands where its tip, this near to its depth, moves less than this between messages 20 ms apart, so
+# many times [ours]: its depth is read to 0.3 mm, and drilled at 1 mm/s.
+NEAR_MM, STILL_TIP_MM, STANDS = 2.0, 0.005, 5
+HAND_S = 300.0  # within which a simulated person has drilled: 250 mm at 1 mm/s, with a margin [calc]
 # Feed at the images of a block, mm: the tip is some 75 mm before the hip, 25 mm before the bone, and more than 20 mm of
 # the wire are in both fields [ours].
 SHOWN_FEED_MM = 75.0
 SLEEVE_MM = 5.0  # of the mouth of the wire's sleeve from the entry point: that for which SKIVING_RAD was computed
 
 
-def calibrated_robot(side: str = "right", frame: Frame | None = None, yaw_rad: float | None = None) -> CalibratedRobot:
-    """Return the nominal manipulator that holds a frame (default: one with plates), with axes and mounts calibrated to
-    the accuracy of a workshop. `yaw_rad`: at the images, by default that of a wire in a hip."""
-    manipulator = nominal_manipulator(side, np.zeros(3) if frame is None else hip_of(frame, side), yaw_rad)
+def calibrated_robot(
+    side: str = "right", frame: Frame | None = None, yaw_rad: float | None = None, arm: Design = "manipulator"
+) -> CalibratedRobot:
+    """Return a nominal arm that holds a frame (default: one with plates), with axes and mounts calibrated to the
+    accuracy of a workshop. `yaw_rad`: at the images, by default that of a wire in a hip."""
+    manipulator = DESIGNS[arm](side, np.zeros(3) if frame is None else hip_of(frame, side), yaw_rad)
     sd = np.tile(REMAINING_SHARE * MACHINED_SD, manipulator.arm_joints)
     axes = CalibratedAxes(manipulator, np.diag(sd**2), np.zeros((0, 0)))
     known = (manipulator.T_flange_cfcs, manipulator.T_flange_tool)
     held, wire = (Mount(pose, np.diag(MOUNT_SD**2), np.zeros(0)) for pose in known)
-    return CalibratedRobot.of(axes, held, wire)
+    return CalibratedRobot.of(axes, held, wire, COMPLIANCE_SD if manipulator.has_feed else GUIDE_COMPLIANCE_SD)
+
+
+def joints_at_images(
+    robot: Manipulator, yaw_rad: float, feed_mm: float = 0.0, moved: RigidTransform | None = None
+) -> np.ndarray:
+    """Return the joints (n,) at which the frame on its nominal mount is level and upright: at `yaw_rad`, the wire fed
+    by `feed_mm`; or a guide before the hip, at the pose `moved` from its ideal one. Raises RobotRefusedError."""
+    if robot.has_feed:
+        return np.array([0.0, 0.0, yaw_rad, 0.0, feed_mm])
+    ahead_mm, above_mm, posture = AT_HIP[robot.count]
+    turned = Rotation.from_rotvec([0.0, 0.0, yaw_rad])
+    mouth = turned.apply([ahead_mm - (GUIDED_HIP_MM[2] - MOUTH_MM[2]), 0.0, above_mm])
+    ideal = RigidTransform.from_components(mouth, turned * AHEAD)
+    return robot.inverse_pose(ideal if moved is None else ideal * moved, posture + yaw_rad * np.eye(robot.count)[0])
 
 
 def shown_wire_mm(robot: Manipulator, imaged: np.ndarray, behind_mm: ArrayLike) -> np.ndarray:
@@ -83,10 +123,14 @@ def true_manipulator(robot: CalibratedRobot, rng: np.random.Generator) -> Manipu
 def drawn_robot(
     known: CalibratedRobot, yaw_rad: float, rng: np.random.Generator, feed_mm: float = 0.0
 ) -> tuple[Manipulator, np.ndarray]:
-    """Draw a true robot, and its joints (5,) at the images: about at `yaw_rad`, with the frame level and upright."""
-    start = BASE_SPREAD * rng.uniform(-1, 1, 5)
-    start[YAW] += yaw_rad
-    start[FEED] += feed_mm
+    """Draw a true robot, and its joints (n,) at the images: about at `yaw_rad`, with the frame level and upright."""
+    if known.manipulator.has_feed:
+        start = BASE_SPREAD * rng.uniform(-1, 1, 5)
+        start[YAW] += yaw_rad
+        start[FEED] += feed_mm
+    else:
+        moved = RigidTransform.from_exp_coords(GUIDE_SPREAD * rng.uniform(-1, 1, 6))
+        start = joints_at_images(known.manipulator, yaw_rad, moved=moved)
     return true_manipulator(known, rng), start
 
 
@@ -144,13 +188,13 @@ class SimulatedTheatre:
         return SimulatedTheatre(robot, plant, plant.read().encoders, place, setup)
 
     @staticmethod
-    def in_air(side: str, serial: str, frame: Frame | None = None) -> "SimulatedTheatre":
+    def in_air(side: str, serial: str, frame: Frame | None = None, arm: Design = "manipulator") -> "SimulatedTheatre":
         """Return the robot of the calibrated model without a patient, frame (default: Γ) level and upright.
 
         Raises SetUpError without MuJoCo."""
         frame = frame or Frame.load("gamma")
-        robot, start = calibrated_robot(side, frame), np.zeros(5)
-        start[YAW], start[FEED] = imaging_yaw(side), IN_SLEEVE_MM
+        robot = calibrated_robot(side, frame, arm=arm)
+        start = joints_at_images(robot.manipulator, imaging_yaw(side), IN_SLEEVE_MM)
         plant = SimulatedPlant(robot.manipulator, None, np.random.default_rng(), start=start)
         confirmed = replace(confirmed_setup(frame, side, serial), into_bone=False)
         if frame.solid is None:
@@ -160,23 +204,31 @@ class SimulatedTheatre:
     def server(
         self, *, host: str = LOOPBACK, port: int = 0, virtual: bool = False, dialect: Dialect = SIGHTLINE
     ) -> RobotServer:
-        """Return the robot's server, not yet listening. Once the robot is aligned, the sleeve is pushed to the bone."""
+        """Return the robot's server, not yet listening. Once the robot is aligned, the sleeve is pushed to the bone;
+        while it holds a guide, a person drills."""
         setup = self.setup
         if dialect.own_frames:
             setup = replace(setup, frames=own_frames(self.robot, self.imaged, setup.hip_mm))
         # Start fault numbers at the time of day, so that a reset for an earlier run's fault cannot clear a new one.
         controller = Controller(self.robot, self.plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
         pushed: Insertion | None = None
+        by_hand: Insertion | None = None
+        manipulator = self.robot.manipulator
 
         def advance(dt_s: float) -> None:
-            nonlocal pushed
+            nonlocal pushed, by_hand
             state, insertion = controller.machine.state, controller.machine.insertion
             # Also while drilling: a client may order it before the robot's next cycle.
-            if state in (State.ALIGNED, State.DRILL) and insertion is not None and insertion is not pushed:
+            at_bone = state in (State.ALIGNED, State.DRILL, State.GUIDE)
+            if at_bone and insertion is not None and insertion is not pushed:
                 pushed = insertion
-                self.plant.guide_mm = (
-                    float(insertion.q[self.robot.manipulator.feed]) + self._surface_mm(insertion) - SLEEVE_MM
-                )
+                entry_mm = float(insertion.q[manipulator.feed]) if manipulator.has_feed else insertion.standoff_mm
+                self.plant.guide_mm = entry_mm + self._surface_mm(insertion) - SLEEVE_MM
+            if state is not State.GUIDE:
+                self.plant.let_go()
+            elif insertion is not None and insertion is not by_hand:
+                by_hand = insertion
+                self.plant.drill_by_hand(insertion.standoff_mm + insertion.length_mm)
             self.plant.advance(dt_s)
 
         simulation = Simulation(advance, virtual, self._truth)
@@ -256,7 +308,8 @@ def insert(
     depth_limit_mm: float,
     confirm: Callable[[State], None] = lambda state: None,
 ) -> DrillingRecord:
-    """Align, confirm, drill to the pause, confirm, drill to the tip, as a person does if every shot is in order.
+    """Align, confirm, drill to the pause, confirm, drill to the tip, as a person does if every shot is in order; or let
+    the simulated person drill through the guide that the arm holds.
 
     `confirm` is called in ALIGNED and PAUSED, and raises to go no further. Raises RobotRefusedError with the robot's
     reason, LinkError, and what `confirm` raises.
@@ -268,6 +321,30 @@ def insert(
     client.aim_plan(target, time.monotonic(), depth_limit_mm)
     client.align()
     confirm(State.ALIGNED)
+    if not target.registration.robot.manipulator.has_feed:
+        client.guide()
+        _await_hand(client, target)
+        return recorder.record
     while (state := State(client.drill())) is not State.DONE:
         confirm(state)
     return recorder.record
+
+
+def _await_hand(client: RobotClient, target: RobotTarget) -> None:
+    """Wait until the person at a simulated robot has drilled: the wire stands about at its depth.
+
+    Raises RobotRefusedError with the robot's fault, LinkError if nobody drills so far."""
+    along = (target.end_mm - target.entry_mm) / target.length_mm
+    depth_mm, stands, until_s = -np.inf, 0, time.monotonic() + HAND_S
+    while stands < STANDS:
+        # A request lets virtual time go on for as long as it takes to send one more message of each stream.
+        with client.connection.mailbox() as mail:
+            tip_mm = client.simulated_wire().wire_mm[2]
+            status = mail.need(lambda m: m.device_name == contract.CURRENT_STATUS, STATUS_S, contract.CURRENT_STATUS)
+        if isinstance(status.body, Status) and status.body.subcode:
+            raise RobotRefusedError(status.body.text)
+        if time.monotonic() > until_s:
+            raise LinkError(f"nobody has drilled through the guide within {HAND_S:g} s")
+        before_mm, depth_mm = depth_mm, float((tip_mm - target.entry_mm) @ along)
+        near = depth_mm > target.depth_mm - NEAR_MM
+        stands = stands + 1 if near and abs(depth_mm - before_mm) < STILL_TIP_MM else 0

@@ -22,6 +22,7 @@ from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
 from sightline.rehearsal.operation import InsertionOutcome, SimulatedTheatre, calibrated_robot
 from sightline.robot.control.insertion import Setup
+from sightline.robot.kinematics.designs import Design
 from sightline.studies.runs.study import Estimate, Summary, Table, Values, quantile, share
 from sightline.studies.scenes import CAREFUL_PX, PAPER_DEG, PAPER_MM, PHANTOMS, SIDE, VIEWS, image_of, observed
 from sightline.twin import HipScene, SetUp
@@ -58,6 +59,7 @@ class Figure15:
     about = "The paper's figure 15: guide wires inserted by the robot into the bore of a plastic femur"
 
     methods: tuple[Method, ...] = METHODS
+    arm: Design = "manipulator"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -71,7 +73,7 @@ class Figure15:
         except SightlineError as error:
             return {"refused": f"{type(error).__name__}: {error}"}
         theatre = int(rng.integers(2**32))  # both methods drive the same robot from the same place
-        return {method: _inserted(planned, method, np.random.default_rng(theatre)) for method in self.methods}
+        return {method: _inserted(planned, method, self.arm, np.random.default_rng(theatre)) for method in self.methods}
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Return the errors of both methods, and the first six trials, as in the paper."""
@@ -134,7 +136,7 @@ def _planned(rng: np.random.Generator) -> PlannedInsertion:
     return PlannedInsertion(setup, hip, seen, true + CAREFUL_PX * rng.standard_normal(true.shape))
 
 
-def _inserted(planned: PlannedInsertion, method: Method, rng: np.random.Generator) -> Values:
+def _inserted(planned: PlannedInsertion, method: Method, arm: Design, rng: np.random.Generator) -> Values:
     """Return the result of one method's plan; only the errors of the plan if the robot does not carry it out."""
     plan_errors: Values = {}
     try:
@@ -143,7 +145,7 @@ def _inserted(planned: PlannedInsertion, method: Method, rng: np.random.Generato
         plan_errors = {"plan_entry": by_plan.entry_mm, "plan_angle": float(np.rad2deg(by_plan.angle_rad))}
         # The wire enters the bore without touching bone, so there is no contact to wait for.
         confirmed = Setup(SIDE, planned.setup.frame.serial or "twin", into_bone=False)
-        theatre = SimulatedTheatre.draw(calibrated_robot(SIDE), planned.hip, rng, confirmed)
+        theatre = SimulatedTheatre.draw(calibrated_robot(SIDE, arm=arm), planned.hip, rng, confirmed)
         target = theatre.target(made, "fig15")
         theatre.drill(target, target.length_mm + BEYOND_MM)
     except SightlineError as error:
@@ -156,6 +158,7 @@ def _inserted(planned: PlannedInsertion, method: Method, rng: np.random.Generato
         "angle": float(np.rad2deg(outcome.angle_rad)),
         "stated_entry": target.entry_error_95_mm,
         "stated_end": target.end_error_95_mm,
+        "stated_angle": float(np.rad2deg(target.direction_error_95_rad)),
     }
 
 

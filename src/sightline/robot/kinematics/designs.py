@@ -54,12 +54,13 @@ FR3_FLANGE_MM = 107.0
 FR3_LOWER_RAD = (-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159)
 FR3_UPPER_RAD = (2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159)
 # Of both: speed in a theatre, a tenth of what they can do [ours]; play for a repeatability of 0.03 mm, 1 s.d., at a
-# reach of 850 mm [src: data sheet of the UR5e]; stiffness [ours, typical of harmonic drives].
-ARM_SPEED_RAD_S, ARM_PLAY_RAD, ARM_STIFFNESS = np.deg2rad(15.0), 1.2e-4, 2e7
+# reach of 850 mm [src: data sheet of the UR5e]; stiffness behind encoders at the gears' output, N mm/rad [ours], the
+# last three joints softer: 20 N across the guide's mouth move it by 0.2 to 0.4 mm [calc].
+ARM_SPEED_RAD_S, ARM_PLAY_RAD, ARM_STIFFNESS, WRIST_STIFFNESS = np.deg2rad(15.0), 1.2e-4, 1.5e8, 2e7
 LINK_RADIUS_MM = 60.0
-# Mouth of the guide, flange coordinates, and the hip on its axis as before the manipulator's retracted tip [ours].
-# The guide is beside the flange, so that a drill goes through it; GUIDE_MM is its length [ours].
-MOUTH_MM, GUIDED_HIP_MM, GUIDE_MM = (0.0, -60.0, 180.0), (0.0, -60.0, 330.0), 120.0
+# Mouth of the guide, flange coordinates, and the hip on its axis, so that the guide is held near its place at the
+# images [ours]. The guide is beside the flange, so that a drill goes through it; GUIDE_MM is its length [ours].
+MOUTH_MM, GUIDED_HIP_MM, GUIDE_MM = (0.0, -60.0, 240.0), (0.0, -60.0, 330.0), 120.0
 
 
 def imaging_yaw(side: str) -> float:
@@ -161,7 +162,7 @@ def _guiding(
         acceleration=10 * ARM_SPEED_RAD_S * every,
         resolution=2 * np.pi / 2**19 * every,
         backlash=ARM_PLAY_RAD * every,
-        stiffness=ARM_STIFFNESS * every,
+        stiffness=np.where(np.arange(count) < count - 3, ARM_STIFFNESS, WRIST_STIFFNESS),
         column_stiffness=np.inf,
         parts=tuple(parts),  # the guide is meant to touch the patient
         guide_mm=GUIDE_MM,

@@ -1,5 +1,6 @@
-"""The manipulator as a MuJoCo model (MJCF): drives, play and springs behind the encoders, masses. SI units inside."""
+"""An arm as a MuJoCo model (MJCF): drives, play and springs behind the encoders, masses. SI units inside."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,15 @@ DRIVE_HZ = 80.0  # bandwidth of a drive's position loop, critically damped
 SPRING_DAMPING = 0.1  # of critical damping, from bolted joints and grease in the gears
 MAX_PHASE = 1.5  # rad of a spring's oscillation per time step; beyond 2 it is unstable [calc]
 HARD_STOP = (2.0, float(np.deg2rad(0.5)))  # distance beyond a soft limit: mm, rad
+# Of arms that hold a guide, by their number of joints: each link's mass, kg [mem: Universal Robots, "Parameters for
+# calculations of kinematics and dynamics"; src: franka_description, fr3/inertials.yaml], and each motor's inertia at
+# its joint, kg m² [ours; src: Drake, reflected inertia of the FR3]. The guide with a frame weighs HELD_KG [ours].
+LINKS_KG = {6: (3.761, 8.058, 2.846, 1.37, 1.3, 0.365), 7: (2.927, 2.936, 2.245, 2.616, 2.327, 1.817, 0.627)}
+MOTORS_KG_M2 = {6: (0.6, 0.6, 0.6, 0.2, 0.2, 0.2), 7: (0.606, 0.606, 0.462, 0.462, 0.206, 0.206, 0.206)}
+LINK_MM, HELD_KG, HELD_MM, HELD_AT_MM = 100.0, 3.0, 250.0, (0.0, 130.0, 130.0)
+# Torque, N m, with which such an arm resists beyond gravity, for each joint from the base [ours]: as a collaborative
+# arm it gives way, to 39 to 56 N across the guide's mouth at a hip [calc].
+YIELDS_N_M = {6: (30.0, 30.0, 26.0, 16.0, 14.0, 5.5), 7: (32.0, 30.0, 32.0, 26.0, 13.0, 14.0, 5.5)}
 
 
 @dataclass(frozen=True)
@@ -28,10 +38,12 @@ class Weight:
 
 @dataclass(frozen=True)
 class Build:
-    """Masses and drives of a manipulator. Of machined aluminium, a surgical drill, a frame of acrylic plates.
+    """Masses and drives of an arm; by default of the manipulator: machined aluminium, a surgical drill, a frame of
+    acrylic plates.
 
     `weights`: of each joint's own link; `frame`: on the flange; `drive_inertia`: of a motor at its joint, kg and kg m²;
-    `drive_force`: maximum of a drive, N and N m; `gravity` m/s², MCS.
+    `drive_force`: maximum of a drive, N and N m; with `carries_itself` beyond what gravity takes, which the arm's own
+    controller adds. `gravity` m/s², MCS.
     """
 
     weights: tuple[Weight, ...] = (
@@ -45,12 +57,38 @@ class Build:
     drive_inertia: tuple[float, ...] = (60.0, 40.0, 1.0, 1.0, 10.0)
     drive_force: tuple[float, ...] = (1000.0, 400.0, 60.0, 60.0, 200.0)
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    carries_itself: bool = False
+
+    @staticmethod
+    def of(robot: Manipulator) -> "Build":
+        """Return what the twin has for an arm: the manipulator's, or for six or seven joints without a feed that of a
+        collaborative arm. Raises SetUpError for others."""
+        if robot.has_feed:
+            return Build()
+        if robot.count not in LINKS_KG:
+            raise SetUpError(f"the twin has no masses for an arm of {robot.count} joints without a feed; give a Build")
+        home, kg = robot.T_mcs_flange_home, LINKS_KG[robot.count]
+        links = [_box(mass, home.apply(part.ends_mm)) for mass, part in zip(kg, robot.parts, strict=False)]
+        held = Weight(HELD_KG, _triple(home.apply(HELD_AT_MM)), (HELD_MM, HELD_MM, HELD_MM))
+        motors, force = MOTORS_KG_M2[robot.count], YIELDS_N_M[robot.count]
+        return Build(tuple(links), held, motors, force, carries_itself=True)
+
+
+def _box(kg: float, ends_mm: np.ndarray) -> Weight:
+    """Return a box around a link's axis (2, 3)."""
+    return Weight(kg, _triple(ends_mm.mean(axis=0)), _triple(np.abs(ends_mm[1] - ends_mm[0]) + LINK_MM))
+
+
+def _triple(xyz: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
+    x, y, z = map(float, xyz)
+    return x, y, z
 
 
 def mjcf(robot: Manipulator, build: Build) -> str:
     """Return the model. The frames of all bodies coincide with MCS at q = 0, so each joint is its screw axis unchanged.
 
-    Joints: `lift` and so on are measured by the encoders, `lift-behind` and so on are not; `column` is its bending.
+    Joints: `lift` and so on are measured by the encoders, `lift-behind` and so on are not; `column` is the bending of a
+    column, which an arm on a rigid base has not.
     Sites: `flange`, `cfcs`, `tool`. Raises SetUpError for springs that are too stiff for the time step.
     """
     home = robot.T_mcs_flange_home
@@ -64,15 +102,17 @@ def mjcf(robot: Manipulator, build: Build) -> str:
         held = (build.frame,) if joint == robot.arm_joints - 1 else ()
         load, own = _inertial(build.weights[joint], *held), _joint(robot, build, joint, inertia[joint])
         bodies = f'<body name="{robot.joints[joint]}-link">{load}{own}{sites[joint]}{bodies}</body>'
-    # The column's damping is for the mass that it carries at its top.
-    column = robot.column_stiffness / M
-    damping = 2 * SPRING_DAMPING * float(np.sqrt(column * inertia[0]))
+    bends = ""
+    if np.isfinite(robot.column_stiffness):  # its damping is for the mass that it carries at its top
+        column = robot.column_stiffness / M
+        damping = 2 * SPRING_DAMPING * float(np.sqrt(column * inertia[0]))
+        bends = f'<joint name="column" type="slide" axis="1 0 0" stiffness="{column!r}" damping="{damping!r}"/>'
     return f"""<mujoco model="manipulator">
 <compiler angle="radian"/>
 <option timestep="{STEP_S}" integrator="implicitfast" gravity="{_row(build.gravity)}">
 <flag contact="disable"/></option>
 <worldbody><body name="column"><inertial pos="0 0 0.2" mass="20" diaginertia="1 1 1"/>
-<joint name="column" type="slide" axis="1 0 0" stiffness="{column!r}" damping="{damping!r}"/>
+{bends}
 {bodies}</body></worldbody>
 <tendon>{"".join(_play(robot, joint) for joint in range(robot.count))}</tendon>
 <actuator>{"".join(_drives(robot, build, inertia))}</actuator>

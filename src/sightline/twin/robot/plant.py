@@ -1,5 +1,6 @@
 """The simulated plant: the true manipulator, simulated by MuJoCo, with its wire in the bone of the images."""
 
+from dataclasses import dataclass
 from itertools import product
 from math import isfinite
 
@@ -17,6 +18,9 @@ from sightline.twin.robot.mjcf import STEP_S, Build, M, mjcf, units
 STEPS = round(CYCLE_S / STEP_S)
 SETTLE_S = 0.5  # time to come to rest under gravity
 GUIDE_MM = 85.0  # feed at which the wire leaves its guide, about 15 mm before a typical entry point [ours]
+# Of a person who drills through a held guide [ours]: pace, play of the wire in the sleeve, sideways push on the guide,
+# and error of a depth that is read, 1 s.d.
+HAND_MM_S, PLAY_MM, PUSH_N, READ_SD_MM = 1.0, 0.05, 20.0, 0.3
 FULL_FORCE = 0.999  # share of a drive's maximum force above which it cannot follow
 _REPORTED = (PlantFlag.DRILL_ON, PlantFlag.STOP_PRESSED, PlantFlag.RUN_HELD, PlantFlag.OVERLOAD, PlantFlag.AT_LIMIT)
 
@@ -32,12 +36,37 @@ def _all_set(flags: tuple[bool, ...]) -> PlantFlag:
 _FLAGS = {flags: _all_set(flags) for flags in product((False, True), repeat=len(_REPORTED))}
 
 
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """A person who drills through a held guide until the wire is `goal_mm` beyond its mouth, as it truly is.
+    `T_tool_wire`: the wire in the guide, by its play; `push_n` (3,): on the guide's mouth, tool axes, from the first
+    millimetre on."""
+
+    goal_mm: float
+    T_tool_wire: RigidTransform
+    push_n: np.ndarray
+
+    @staticmethod
+    def draw(goal_mm: float, guide_mm: float, most_n: float, rng: np.random.Generator) -> "Hand":
+        """Draw a person who reads `goal_mm` off the wire's free length: anywhere within the play at both ends of the
+        guide, and a push in any direction across it of up to `most_n`."""
+        mouth, other = PLAY_MM / 2 * rng.uniform(-1, 1, (2, 2))
+        x, y = (mouth - other) / guide_mm
+        tilt = Rotation.from_rotvec([-y, x, 0.0])
+        angle, newtons = rng.uniform(0.0, 2 * np.pi), most_n * rng.uniform()
+        push = newtons * np.array([np.cos(angle), np.sin(angle), 0.0])
+        read = goal_mm + READ_SD_MM * rng.standard_normal()
+        return Hand(float(read), RigidTransform.from_components([*mouth, 0.0], tilt), push)
+
+
 class SimulatedPlant:
     """A `Plant` with its own clock, which `advance` moves on. Methods named true_ return the true state, including what
     encoders cannot measure (play, springs, gravity, thrust, a bent wire): for evaluation, never for a controller.
 
-    `robot`: the true manipulator. `bone` None: the wire moves in air. `start` (n,): joints at time zero. `guide_mm`:
-    the feed at which the wire's tip is at the mouth of its guide, which a person pushes forward to the bone.
+    `robot`: the true arm. `bone` None: the wire moves in air. `start` (n,): joints at time zero. `guide_mm`: the feed
+    at which the wire's tip is at the mouth of its sleeve, which a person pushes forward to the bone. Without a feed
+    that is how far the sleeve's mouth is from the guide's, and a person drills: `drill_by_hand`; `push_n` is the
+    largest push.
     `stop_pressed`, `run_held`: the hardware inputs. Raises SetUpError if MuJoCo is not installed or the start is beyond
     the limits.
     """
@@ -52,13 +81,18 @@ class SimulatedPlant:
     ) -> None:
         self.robot = robot
         self.wire: Wire | None = None
-        self.guide_mm = GUIDE_MM
+        self.guide_mm = GUIDE_MM if robot.has_feed else 0.0
+        self.push_n, self.pushed_mm = PUSH_N, 0.0
+        self._hand: Hand | None = None
+        # A separate generator, because the number of samples depends on the link.
+        self._hand_rng = rng.spawn(1)[0]
         self.stop_pressed, self.run_held = False, True
         self._rng = rng
         at = np.zeros(robot.count) if start is None else np.asarray(start, dtype=np.float64)
         if not np.isfinite(at).all() or robot.beyond_limits(at).any():
             raise SetUpError("the plant must start within its joints' limits")
-        self._body = _Body(robot, build or Build(), at)
+        self._body = _Body(robot, build or Build.of(robot), at)
+        self._laid = self._body.pose("tool")  # a straight wire that a person drills
         self._slowest = -robot.speed
         self._goal, self._drill_on = np.zeros(self.robot.count), False
         self._time_s, self._owed_s = 0.0, 0.0
@@ -85,8 +119,16 @@ class SimulatedPlant:
 
     def meet(self, bone: Bone, diameter_mm: float = WIRE_DIAMETER_MM) -> None:
         """Mount a new wire in front of this bone."""
-        self.wire = Wire(bone, diameter_mm)
+        self.wire, self.pushed_mm = Wire(bone, diameter_mm), 0.0
         self._drill()
+
+    def drill_by_hand(self, goal_mm: float) -> None:
+        """Let a person drill through the held guide, until the wire is read to be `goal_mm` beyond its mouth."""
+        self._hand = Hand.draw(goal_mm, self.robot.guide_mm, self.push_n, self._hand_rng)
+
+    def let_go(self) -> None:
+        """Let the person stop; a wire beyond the mouth stays where it is."""
+        self._hand = None
 
     def advance(self, dt_s: float) -> None:
         """Advance the clock by whole cycles; the remainder is carried over to the next call."""
@@ -110,7 +152,7 @@ class SimulatedPlant:
 
     def true_T_mcs_tool(self) -> RigidTransform:
         """Return the true pose of the wire's tip, +z along the wire there, including its bending."""
-        straight = self._body.pose("tool")
+        straight = self._straight
         if self.wire is None:
             return straight
         axis = straight.rotation.apply([0.0, 0.0, 1.0])
@@ -119,12 +161,22 @@ class SimulatedPlant:
 
     def true_wire_mm(self) -> np.ndarray:
         """Return three points (3, 3) of the wire: at its guide's mouth, where bone holds it (else halfway), its tip."""
-        tool = self._body.pose("tool")
-        free = max(self._body.positions()[self.robot.feed] - self.guide_mm, 0.0)
+        tool, free = self._straight, max(self._free_mm, 0.0)
         mouth = tool.apply([0.0, 0.0, -free])
         tip = tool.translation if self.wire is None else self.wire.tip_mm
         held = None if self.wire is None else self.wire.entry_mm
         return np.stack([mouth, (mouth + tip) / 2 if held is None else held, tip])
+
+    @property
+    def _straight(self) -> RigidTransform:
+        """Pose of the tip of a straight wire."""
+        return self._body.pose("tool") if self.robot.has_feed else self._laid
+
+    @property
+    def _free_mm(self) -> float:
+        """From the sleeve's mouth to the tip, negative within the sleeve."""
+        out = self._body.positions()[self.robot.feed] if self.robot.has_feed else self.pushed_mm
+        return out - self.guide_mm
 
     @property
     def _may_move(self) -> bool:
@@ -140,19 +192,36 @@ class SimulatedPlant:
         self._reading = self._sample(overloaded, limited)
 
     def _drill(self) -> None:
-        if self.wire is None:
-            return
-        tip, axes = self._body.tool()
-        free = self._body.positions()[self.robot.feed] - self.guide_mm
-        thrust = self.wire.step(tip, axes, free, self._drill_on and self._may_move, CYCLE_S)
-        self._body.push(tip, -thrust * axes[2])
+        if not self.robot.has_feed:
+            self._drill_by_hand()
+        elif self.wire is not None:
+            tip, axes = self._body.tool()
+            thrust = self.wire.step(tip, axes, self._free_mm, self._drill_on and self._may_move, CYCLE_S)
+            self._body.push(tip, -thrust * axes[2])
+
+    def _drill_by_hand(self) -> None:
+        """The thrust is the person's, whose other hand pushes at the guide."""
+        hand, guide = self._hand, self._body.pose("tool")
+        push_n = np.zeros(3) if hand is None else min(self.pushed_mm, 1.0) * hand.push_n
+        self._body.push(guide.translation, guide.rotation.apply(push_n))
+        if hand is None and self.pushed_mm > 0.0:
+            return  # it stays in the bone
+        held = guide
+        if hand is not None:
+            held = guide * hand.T_tool_wire
+            self.pushed_mm = min(self.pushed_mm + HAND_MM_S * CYCLE_S, hand.goal_mm)
+            self._hand = hand if self.pushed_mm < hand.goal_mm else None
+        self._laid = held * RigidTransform.from_translation([0.0, 0.0, self.pushed_mm])
+        if self.wire is not None:
+            axes = self._laid.rotation.as_matrix().T
+            self.wire.step(self._laid.translation, axes, self._free_mm, hand is not None, CYCLE_S)
 
     def _sample(self, overloaded: bool, limited: bool) -> Reading:
         drills = self._drill_on and self._may_move
         flags = _FLAGS[bool(drills), bool(self.stop_pressed), bool(self.run_held), overloaded, limited]
         encoders = np.rint(self._body.encoders() / self.robot.resolution) * self.robot.resolution
         encoders.flags.writeable = False
-        return Reading(self._time_s, encoders, sensed(self.thrust_n, self._rng), flags)
+        return Reading(self._time_s, encoders, sensed(self.thrust_n * self.robot.has_feed, self._rng), flags)
 
 
 class _Body:
@@ -186,6 +255,10 @@ class _Body:
         self._fed_middle, self._fed_force = data.xipos[self._fed], data.xfrc_applied[self._fed]
         self._control = data.ctrl[: robot.count], data.ctrl[robot.count :]
         data.qpos[self._seen] = data.act[:] = start * self._units
+        self._carries_itself = build.carries_itself
+        if self._carries_itself:
+            mujoco.mj_forward(self._model, data)
+            data.qfrc_applied[self._seen] = data.qfrc_bias[self._seen]
         mujoco.mj_step(self._model, data, nstep=round(SETTLE_S / STEP_S))
         mujoco.mj_kinematics(self._model, data)
 
@@ -235,6 +308,8 @@ class _Body:
         if overloaded:  # keep the reference near the joint
             slack = self._force / self._model.actuator_gainprm[: len(self._force), 0]
             data.act[:] = np.clip(data.act, self._qpos[self._seen] - slack, self._qpos[self._seen] + slack)
+        if self._carries_itself:
+            data.qfrc_applied[self._seen] = data.qfrc_bias[self._seen]
         self._mujoco.mj_kinematics(model, data)
         return overloaded, allowed is not goal and wanted != goal.tolist()
 
