@@ -1,6 +1,7 @@
 """The simulated plant: the true manipulator, simulated by MuJoCo, with its wire in the bone of the images."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from math import isfinite
 
@@ -45,6 +46,11 @@ class Hand:
     goal_mm: float
     T_tool_wire: RigidTransform
     push_n: np.ndarray
+
+    @cached_property
+    def axes(self) -> np.ndarray:
+        """(3, 3): rows x, y, z of the wire, tool axes. Kept, because scipy takes half of a cycle for it."""
+        return self.T_tool_wire.rotation.as_matrix().T
 
     @staticmethod
     def draw(goal_mm: float, guide_mm: float, most_n: float, rng: np.random.Generator) -> "Hand":
@@ -92,7 +98,7 @@ class SimulatedPlant:
         if not np.isfinite(at).all() or robot.beyond_limits(at).any():
             raise SetUpError("the plant must start within its joints' limits")
         self._body = _Body(robot, build or Build.of(robot), at)
-        self._laid = self._body.pose("tool")  # a straight wire that a person drills
+        self._laid = self._body.tool()  # tip and axes of a straight wire that a person drills
         self._slowest = -robot.speed
         self._goal, self._drill_on = np.zeros(self.robot.count), False
         self._time_s, self._owed_s = 0.0, 0.0
@@ -170,7 +176,10 @@ class SimulatedPlant:
     @property
     def _straight(self) -> RigidTransform:
         """Pose of the tip of a straight wire."""
-        return self._body.pose("tool") if self.robot.has_feed else self._laid
+        if self.robot.has_feed:
+            return self._body.pose("tool")
+        tip, axes = self._laid
+        return RigidTransform.from_components(tip, Rotation.from_matrix(axes.T))
 
     @property
     def _free_mm(self) -> float:
@@ -201,20 +210,17 @@ class SimulatedPlant:
 
     def _drill_by_hand(self) -> None:
         """The thrust is the person's, whose other hand pushes at the guide."""
-        hand, guide = self._hand, self._body.pose("tool")
-        push_n = np.zeros(3) if hand is None else min(self.pushed_mm, 1.0) * hand.push_n
-        self._body.push(guide.translation, guide.rotation.apply(push_n))
+        hand, (mouth, axes) = self._hand, self._body.tool()
+        self._body.push(mouth, np.zeros(3) if hand is None else min(self.pushed_mm, 1.0) * (hand.push_n @ axes))
         if hand is None and self.pushed_mm > 0.0:
             return  # it stays in the bone
-        held = guide
         if hand is not None:
-            held = guide * hand.T_tool_wire
+            mouth, axes = mouth + hand.T_tool_wire.translation @ axes, hand.axes @ axes
             self.pushed_mm = min(self.pushed_mm + HAND_MM_S * CYCLE_S, hand.goal_mm)
             self._hand = hand if self.pushed_mm < hand.goal_mm else None
-        self._laid = held * RigidTransform.from_translation([0.0, 0.0, self.pushed_mm])
+        self._laid = mouth + self.pushed_mm * axes[2], np.array(axes)  # the body's own axes change with it
         if self.wire is not None:
-            axes = self._laid.rotation.as_matrix().T
-            self.wire.step(self._laid.translation, axes, self._free_mm, hand is not None, CYCLE_S)
+            self.wire.step(*self._laid, self._free_mm, hand is not None, CYCLE_S)
 
     def _sample(self, overloaded: bool, limited: bool) -> Reading:
         drills = self._drill_on and self._may_move
