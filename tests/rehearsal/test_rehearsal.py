@@ -1,18 +1,22 @@
 """A rehearsal is drawn from its seed: part by part the same, in any order, and its truth agrees with its images."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
 import sightline as sl
-from sightline.common.checks import failed
+from sightline.common.checks import Limits, failed
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.from_images.pipeline import check_shot, label_beads
 from sightline.planning import plan
 from sightline.planning.check.shot import Landmarks
+from sightline.rehearsal.operation import registered
 from sightline.rehearsal.patient import PARTS, VIEWS
 from sightline.rehearsal.rehearsal import Rehearsal
+from sightline.robot.kinematics.target import PlanIdentity, robot_target
 from sightline.robot.link.record import SimulatedWire
 from sightline.twin import render
 
@@ -149,3 +153,26 @@ def test_images_that_are_taken_again_show_another_place_of_the_c_arm(
         assert np.linalg.norm(tips[one] - tips[other], axis=1).min() > 5.0
     for name in VIEWS:
         np.testing.assert_array_equal(again.images[name], second.images[name])
+
+
+@pytest.mark.slow
+def test_an_arm_that_holds_a_guide_stands_at_the_block_without_a_wire_in_the_images():
+    pytest.importorskip("mujoco")
+    rehearsed = Rehearsal.draw(SEED, Frame.load("block60"), arm="six-axis")
+    assert rehearsed.robot_wire_mm is None
+    theatre = rehearsed.theatre()
+    ideal_mm = rehearsed.ideal_mm["guide-wire"]
+    target = robot_target(
+        PlanIdentity("1", "right", rehearsed.serial, go=True, frame=theatre.setup.frame),
+        ideal_mm,
+        {"planning": 0.01 * np.eye(6)},
+        registered(theatre.robot, theatre.imaged, time.monotonic()),
+        Limits(),
+    )
+    theatre.drill(target, target.depth_mm + 3.0)
+    outcome = theatre.outcome(ideal_mm)
+    assert outcome.entry_mm < 1.0
+    assert np.rad2deg(outcome.angle_rad) < 0.6
+    assert theatre.plant.wire.entry_mm is not None  # it is in the bone
+    taken = rehearsed.check_images(theatre.wire)
+    assert taken.setup.views.keys() == set(VIEWS)

@@ -21,6 +21,7 @@ from sightline.rehearsal.operation import (
     calibrated_robot,
     confirmed_setup,
     drawn_robot,
+    joints_at_images,
     shown_wire_mm,
 )
 from sightline.rehearsal.patient import (
@@ -36,7 +37,7 @@ from sightline.rehearsal.patient import (
 )
 from sightline.robot.contract import NO_SERIAL
 from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
-from sightline.robot.kinematics.designs import imaging_yaw
+from sightline.robot.kinematics.designs import Design, imaging_yaw
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.link.record import SimulatedWire
 from sightline.twin import HipScene, Scene, render, shown_hip_scene
@@ -55,25 +56,32 @@ ON_PATIENT_SD = np.array([np.deg2rad(2.0)] * 3 + [3.0] * 3)
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal(RehearsedPatient):
-    """A patient, and the robot that holds the frame: with a hip, or with a nail in the femur (`procedure`)."""
+    """A patient, and the robot that holds the frame: with a hip, or with a nail in the femur (`procedure`). `arm`: its
+    design."""
+
+    arm: Design = "manipulator"
 
     @staticmethod
-    def draw(seed: int, frame: Frame, side: str = "right", procedure: str = "hip-screw") -> "Rehearsal":
+    def draw(
+        seed: int, frame: Frame, side: str = "right", procedure: str = "hip-screw", arm: Design = "manipulator"
+    ) -> "Rehearsal":
         """Draw a rehearsal from its seed: in front of an intensifier, for a solid a flat panel (`chain_for`).
 
         Both fields show all ideal wires, and beside a solid the tip of the robot's own; an intensifier's field has no
-        room for that. Raises SetUpError.
+        room for that, and a guide no wire. Raises SetUpError.
         """
         rng = np.random.default_rng(seed)
         femur, also = None if procedure == NAILED else draw_femur(rng), None
-        if frame.solid is not None and frame.detector is None:
-            imaged = np.array([0.0, 0.0, _yaw(procedure, side), 0.0, SHOWN_FEED_MM])
-            also = shown_wire_mm(robot_at(procedure, side, frame).manipulator, imaged, [SHOWN_MM, 0.0])
+        robot = robot_at(procedure, side, frame, arm).manipulator
+        if frame.solid is not None and frame.detector is None and robot.has_feed:
+            imaged = joints_at_images(robot, _yaw(procedure, side), SHOWN_FEED_MM)
+            also = shown_wire_mm(robot, imaged, [SHOWN_MM, 0.0])
         if femur is None:
             setup, nailed = shown_bone_scene(rng, frame, BONES_OF[procedure], side, also_mm=also)
-            return Rehearsal(seed, setup.renamed(VIEWS), nailed, procedure)
+            return Rehearsal(seed, setup.renamed(VIEWS), nailed, procedure, arm)
         wires = anatomical_wires(femur, procedure)
-        return Rehearsal(seed, *shown_hip_scene(rng, frame, side, femur, also_mm=also, wires_mm=wires), procedure)
+        setup, hip = shown_hip_scene(rng, frame, side, femur, also_mm=also, wires_mm=wires)
+        return Rehearsal(seed, setup, hip, procedure, arm)
 
     @property
     def hip(self) -> HipScene:
@@ -120,7 +128,7 @@ class Rehearsal(RehearsedPatient):
     @cached_property
     def robot(self) -> CalibratedRobot:
         """The calibrated model of the robot."""
-        return robot_at(self.procedure, self.side, self.setup.frame)
+        return robot_at(self.procedure, self.side, self.setup.frame, self.arm)
 
     def theatre(self) -> SimulatedTheatre:
         """Return the true robot at its place at the images, beside this bone. Raises SetUpError without MuJoCo."""
@@ -133,8 +141,10 @@ class Rehearsal(RehearsedPatient):
     @cached_property
     def robot_wire_mm(self) -> np.ndarray | None:
         """A point and the tip (2, 3), CFCS, of the robot's own wire at the images of a block: the farthest point behind
-        the tip that both fields show. None for plates and intensifiers, whose images do not show it."""
-        if self.setup.frame.solid is None or self.setup.frame.detector is not None:
+        the tip that both fields show. None for plates and intensifiers, whose images do not show it, and for an arm
+        without a feed, whose guide holds no wire then."""
+        frame = self.setup.frame
+        if frame.solid is None or frame.detector is not None or not self.robot.manipulator.has_feed:
             return None
         true, imaged = self._at_images
         wire = shown_wire_mm(true, imaged, np.append(np.arange(MAX_SHOWN_MM, SHOWN_MM, -1.0), [SHOWN_MM, 0.0]))
@@ -173,7 +183,7 @@ class Rehearsal(RehearsedPatient):
         """
         rng = retaken(self.generator("check", len(before_mm)), retake)
         true, imaged = self._at_images
-        play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, 5)
+        play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, self.robot.manipulator.count)
         then = true.T_mcs_cfcs(imaged + play)
         if self.setup.frame.solid is not None:
             then = then * RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
@@ -191,7 +201,7 @@ class Rehearsal(RehearsedPatient):
         *,
         on_patient: bool = False,
     ) -> CheckImages:
-        """Render two images in ALIGNED or PAUSED, at the encoders `q` (5,): a block is put back on its mount, and the
+        """Render two images in ALIGNED or PAUSED, at the encoders `q` (n,): a block is put back on its mount, and the
         arm stands where it is, up to its play. `key`, `before_mm`: as of `check_images`. `on_patient`: the frame was
         taken off the arm and fixed to the patient, about where it was at the images (ON_PATIENT_SD).
 
@@ -200,7 +210,7 @@ class Rehearsal(RehearsedPatient):
         """
         rng, key = self.generator(state, len(before_mm)), key or self.document.wires[0].key
         true, _ = self._at_images
-        play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, 5)
+        play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, self.robot.manipulator.count)
         now = true.T_mcs_cfcs(q + play) * RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
         motion = now.inv() * wire.T_mcs_cfcs
         if on_patient:
@@ -217,7 +227,7 @@ class Rehearsal(RehearsedPatient):
 
     @property
     def _at_images(self) -> tuple[Manipulator, np.ndarray]:
-        """The true robot, and its joints (5,) at the images."""
+        """The true robot, and its joints (n,) at the images."""
         return drawn_robot(self.robot, _yaw(self.procedure, self.side), self.generator("robot"), self._feed_mm)
 
     @property
@@ -225,9 +235,9 @@ class Rehearsal(RehearsedPatient):
         return 0.0 if self.setup.frame.solid is None else SHOWN_FEED_MM
 
 
-def robot_at(procedure: str, side: str, frame: Frame) -> CalibratedRobot:
+def robot_at(procedure: str, side: str, frame: Frame, arm: Design = "manipulator") -> CalibratedRobot:
     """Return the calibrated model of the robot that holds a frame for a procedure."""
-    return calibrated_robot(side, frame, _yaw(procedure, side))
+    return calibrated_robot(side, frame, _yaw(procedure, side), arm)
 
 
 def _yaw(procedure: str, side: str) -> float:
