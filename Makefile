@@ -85,7 +85,7 @@ COMPILE = uv pip compile --quiet --universal --python-version 3.11 --generate-ha
   --custom-compile-command 'make lock'
 
 lock:  ## compile the locks again (needs uv)
-	$(COMPILE) --all-extras --group build pyproject.toml -o requirements.lock
+	$(COMPILE) --extra robot --extra app --extra studies --extra xreg --group build pyproject.toml -o requirements.lock
 	$(COMPILE) --group dev --group bench -c requirements.lock -o requirements-dev.lock
 	$(COMPILE) --group docs -c requirements.lock -c requirements-dev.lock -o requirements-docs.lock
 

@@ -4,15 +4,17 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
+from sightline.errors import RobotRefusedError
 from sightline.robot.plant import Reading
 
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
-    """Joint `positions` (N, n) and `velocities` (N, n) at `time_s` (N,) after its start, from rest to rest; rad or mm.
+    """Joint `positions` (N, n) and `velocities` (N, n) at `time_s` (N,) after its start; rad or mm.
 
-    It begins at the arm's present position. Between two samples the arm interpolates.
+    It begins at the arm's present position and velocity, and ends at rest. Between two samples the arm interpolates.
     """
 
     time_s: np.ndarray
@@ -42,3 +44,34 @@ class ArmAdapter(Protocol):
 
     def stop(self) -> None:
         """Stop as fast as the arm can; nothing moves before the next `follow`."""
+
+
+# [ours] How far from the arm's joints a trajectory may begin, rad and mm: servos lag. Twice what a moving joint may be
+# off its course.
+START_RAD, START_MM = 0.0175, 2.0
+
+
+def checked(
+    trajectory: JointTrajectory, joints: tuple[str, ...], q: np.ndarray, rotary: np.ndarray
+) -> CubicHermiteSpline:
+    """Return the positions (n,) over time of a trajectory for an arm at `q` (n,), and what is between its samples.
+
+    Raises RobotRefusedError unless it is finite, in order of time, begins at `q` and ends at rest. `rotary` (n,): which
+    joints rotate.
+    """
+    time_s, positions, velocities = trajectory.time_s, trajectory.positions, trajectory.velocities
+    shape = (len(time_s), len(joints))
+    if len(time_s) < 2 or positions.shape != shape or velocities.shape != shape:
+        raise RobotRefusedError(f"the trajectory needs positions and velocities of {len(joints)} joints at two times")
+    if not (np.isfinite(time_s).all() and np.isfinite(positions).all() and np.isfinite(velocities).all()):
+        raise RobotRefusedError("the trajectory has a time, position or velocity that is not a number")
+    if time_s[0] != 0 or (np.diff(time_s) <= 0).any():
+        raise RobotRefusedError("the times of the trajectory must begin at 0 and increase")
+    if np.abs(velocities[-1]).max() > 1e-9:  # rounding
+        raise RobotRefusedError("the trajectory must end at rest")
+    off = np.abs(positions[0] - q) / np.where(rotary, START_RAD, START_MM)
+    worst = int(off.argmax())
+    if off[worst] > 1:
+        begin, at = positions[0, worst], q[worst]
+        raise RobotRefusedError(f"{joints[worst]} is at {at:.4f}, and the trajectory begins at {begin:.4f}")
+    return CubicHermiteSpline(time_s, positions, velocities)
