@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-
 # A lock names all that is needed. With --no-deps pip asks no index what else there is: a release of tomorrow changes nothing.
 LOCKED := $(PIP) --require-hashes --no-deps
 
-.PHONY: demo test slow bench campaign mutants busy coverage docs lint weight lock wheel clean
+.PHONY: demo test slow ros2 bench campaign mutants busy coverage docs lint weight lock wheel clean
 .DEFAULT_GOAL := demo
 
 $(READY): requirements.lock pyproject.toml
@@ -43,6 +43,16 @@ test: $(TOOLS) $(KERNELS)  ## the whole suite: about five minutes on two cores
 
 slow: $(TOOLS) $(KERNELS)  ## what is too slow for `make test`
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n auto --dist loadfile --no-loadscope-reorder --durations=10
+
+# ROS 2 restarts each Python that it is installed for, so it has an environment of its own, which sees the other.
+ros2: $(VENV)/.ros2  ## the tests against ROS 2 (262 MB, Linux)
+	OPENBLAS_NUM_THREADS=1 $(VENV)/ros2/bin/python -m pytest -m slow tests/robot/test_ros2.py
+
+$(VENV)/.ros2: $(TOOLS) requirements-ros2.lock
+	$(PYTHON) -m venv $(VENV)/ros2
+	$(VENV)/ros2/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-ros2.lock
+	cd $(VENV)/ros2/lib/python*/site-packages && realpath $(CURDIR)/src ../../../../lib/python*/site-packages > sightline.pth
+	@touch $@
 
 coverage: $(TOOLS) $(KERNELS)  ## the suite, and which lines of the source it runs
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder \
@@ -88,6 +98,7 @@ lock:  ## compile the locks again (needs uv)
 	$(COMPILE) --extra robot --extra app --extra studies --extra xreg --group build pyproject.toml -o requirements.lock
 	$(COMPILE) --group dev --group bench -c requirements.lock -o requirements-dev.lock
 	$(COMPILE) --group docs -c requirements.lock -c requirements-dev.lock -o requirements-docs.lock
+	$(COMPILE) --group ros2 -c requirements.lock -c requirements-dev.lock -o requirements-ros2.lock
 
 clean:
 	rm -rf out dist build .pytest_cache .ruff_cache .coverage

@@ -1,0 +1,89 @@
+"""The adapter for ros2_control, against a controller of ROS 2 in another process."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks import arm_peers
+from benchmarks.arm_peers import (
+    NAMESPACE,
+    REACHED,
+    patient,
+    program,
+    ros2_arm,
+    ros2_commander,
+    ros2_fault,
+    ros2_follow,
+    smooth,
+)
+
+from sightline.errors import RobotRefusedError
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not arm_peers.ROS2, reason="ROS 2 is not installed: make ros2"),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # of the parser of ROS 2's messages
+]
+
+
+@pytest.fixture(autouse=True)
+def local(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"):
+        monkeypatch.setenv(name, "")  # restored afterwards
+    arm_peers.ros2_local()
+
+
+@pytest.fixture
+def controller() -> Iterator[Any]:
+    with program("ros2_controller", NAMESPACE) as (process, _):
+        yield process
+
+
+def test_trajectories_are_followed_by_messages_that_rest_within_a_tenth_of_a_second() -> None:
+    with patient():
+        errors, log = ros2_follow(20)
+    assert np.abs(errors).max() < REACHED
+    assert not len(log["refused"])
+    assert (log["rests_s"] - log["came_s"]).max() < 0.1001
+
+
+@pytest.mark.parametrize(
+    ("fault", "text"),
+    [
+        ("killed", "no new joint states"),
+        ("silent", "no new joint states"),
+        ("late", "no new joint states|s old"),
+        ("frozen", "no new joint states|s old"),
+        ("nan", "wrist_2 is at nan"),
+        ("degrees", "must be in rad and m"),
+        ("renamed", "reports feed, tool0, wrist_2"),
+        ("fewer", "the arm has shoulder_pan"),
+    ],
+)
+def test_a_fault_is_named_and_nothing_moves_on(fault: str, text: str) -> None:
+    found = ros2_fault(fault)
+    assert re.search(text, found.text)
+    assert found.moved < 0.2  # rad; 0.4 are left of the trajectory
+
+
+def test_the_arm_stops_if_this_program_dies() -> None:
+    assert ros2_commander() < 0.1001
+
+
+def test_what_cannot_be_followed_is_refused(controller: Any) -> None:
+    with ros2_arm() as arm:
+        q = arm.state().encoders
+        with pytest.raises(RobotRefusedError, match=r"and the trajectory begins at"):
+            arm.follow(smooth(q + 0.1, q, 1.0))
+        with ros2_arm(), pytest.raises(RobotRefusedError, match="another program sends trajectories"):
+            arm.follow(smooth(q, q + 0.1, 1.0))
+
+
+def test_without_joint_states_or_a_name_there_is_no_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RobotRefusedError, match="no joint states at sightline_test/joint_states"), ros2_arm():
+        pass
+    monkeypatch.setattr(arm_peers, "NAMESPACE", "two words")
+    with pytest.raises(RobotRefusedError, match="not usable as a ROS 2 namespace"), ros2_arm():
+        pass
