@@ -59,6 +59,7 @@ coverage: $(TOOLS) $(KERNELS)  ## the suite, and which lines of the source it ru
 	  --cov=sightline --cov-report=term:skip-covered
 
 bench: $(TOOLS)  ## the figures of docs/benchmarks.md, each beside its peer
+	$(PIP) --no-deps --upgrade --target out/opencv4 opencv-python-headless==4.11.0.86
 	$(BIN)/python -m benchmarks
 
 TRIES ?= 200

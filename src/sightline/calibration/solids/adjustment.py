@@ -5,10 +5,11 @@ share. The data are the balls' centres, and priors of the focal lengths, the pri
 are weighted by their covariances; Gauss-Newton steps give the maximum a posteriori and its covariance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -149,28 +150,43 @@ def iterated(
     solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera]
 ) -> tuple[SolidAdjustment, bool]:
     """Return the adjustment after at most _STEPS, and whether it converged."""
-    now = _linearised(solid, images, cameras, np.zeros(solid.factor.shape[1]))
+    return descended(_linearised(solid, images, cameras, np.zeros(solid.factor.shape[1])), _moved)
+
+
+_Adjustment = TypeVar("_Adjustment", bound=SolidAdjustment)
+Moved = Callable[[_Adjustment, np.ndarray], _Adjustment | None]
+
+
+def descended(now: _Adjustment, moved: Moved[_Adjustment]) -> tuple[_Adjustment, bool]:
+    """Return an adjustment after at most _STEPS Gauss-Newton steps, and whether it converged.
+
+    `moved`: the adjustment at parameters changed by a step; None where they have no images.
+    """
     for _ in range(_STEPS):
         step = now.gain @ now.residual
-        better = None if now.residual @ (now.design @ step) <= _CONVERGED else _shortened(now, step)
+        better = None if now.residual @ (now.design @ step) <= _CONVERGED else _shortened(now, step, moved)
         if better is None:
             return now, True
         now = better
     return now, False
 
 
-def _shortened(now: SolidAdjustment, step: np.ndarray) -> SolidAdjustment | None:
+def _shortened(now: _Adjustment, step: np.ndarray, moved: Moved[_Adjustment]) -> _Adjustment | None:
     """Return the adjustment after the longest of the halved steps that decreases the misfit, None if none does."""
     for _ in range(_HALVINGS):
-        cameras = [camera.moved(step[now.columns_of(k)]) for k, camera in enumerate(now.cameras)]
-        e = now.e + step[: len(now.e)]
-        xyz = now.solid.moved_mm(e)[: now.solid.count]
-        if all(camera.in_front(xyz) for camera in cameras):
-            moved = _linearised(now.solid, now.images, cameras, e)
-            if moved.chi_square < now.chi_square:
-                return moved
+        there = moved(now, step)
+        if there is not None and there.chi_square < now.chi_square:
+            return there
         step = step / 2
     return None
+
+
+def _moved(now: SolidAdjustment, step: np.ndarray) -> SolidAdjustment | None:
+    cameras = [camera.moved(step[now.columns_of(k)]) for k, camera in enumerate(now.cameras)]
+    e = now.e + step[: len(now.e)]
+    xyz = now.solid.moved_mm(e)[: now.solid.count]
+    seen = all(camera.in_front(xyz) for camera in cameras)
+    return _linearised(now.solid, now.images, cameras, e) if seen else None
 
 
 def _linearised(
@@ -185,15 +201,21 @@ def _linearised(
         rows, own = slice(start, start + image.data), len(e) + PARAMETERS * k
         residual[rows], design[rows, own : own + PARAMETERS], design[rows, : len(e)] = image.whitened(camera, solid, e)
         start += image.data
-        prior, at = image.prior, balls + 3 * k
-        residual[at] = -np.log(camera.focal_px / prior.focal_px) / prior.focal_share
-        residual[at + 1 : at + 3] = (np.array(prior.centre_px) - camera.centre_px) / prior.centre_sd_px
-        design[at, own + FOCAL] = 1.0 / prior.focal_share
-        design[range(at + 1, at + 3), range(own + CENTRE.start, own + CENTRE.stop)] = 1.0 / prior.centre_sd_px
+        at = slice(balls + 3 * k, balls + 3 * k + 3)
+        residual[at], design[at, own : own + PARAMETERS] = prior_rows(camera, image.prior)
     known = balls + 3 * len(images)
     residual[known:] = -e
     design[known:, : len(e)] = np.eye(len(e))
     return SolidAdjustment(solid, tuple(images), tuple(cameras), e, residual, design)
+
+
+def prior_rows(camera: PanelCamera, prior: PanelPrior) -> tuple[np.ndarray, np.ndarray]:
+    """Return the whitened residuals (3,) of a camera's prior, and their design (3, 9)."""
+    sd = np.array([prior.focal_share, prior.centre_sd_px, prior.centre_sd_px])
+    design = np.zeros((3, PARAMETERS))
+    design[range(3), (FOCAL, *range(CENTRE.start, CENTRE.stop))] = 1.0 / sd
+    off = np.append(-np.log(camera.focal_px / prior.focal_px), prior.centre_px - camera.centre_px)
+    return off / sd, design
 
 
 # S.d. of what is known of a panel: the stated source-detector distance changes by 6 to 8 mm over the orbit and
@@ -296,7 +318,7 @@ def first_camera(solid: SolidBalls, seen: SolidImage, view: str) -> PanelCamera:
     """
     image = seen.undistorted()
     (plain, plain_chi2), (mirrored, mirrored_chi2) = (
-        _fitted(solid, image, mirrored=handedness) for handedness in (False, True)
+        best_camera(solid, image, mirrored=handedness) for handedness in (False, True)
     )
     evidence = mirrored_chi2 - plain_chi2  # for the one that is not mirrored
     if isinstance(seen, DetectorPlateImage):
@@ -314,7 +336,7 @@ def first_camera(solid: SolidBalls, seen: SolidImage, view: str) -> PanelCamera:
     return plain if evidence > 0 else mirrored
 
 
-def _fitted(solid: SolidBalls, image: SolidImage, *, mirrored: bool) -> tuple[PanelCamera, float]:
+def best_camera(solid: SolidBalls, image: SolidImage, *, mirrored: bool) -> tuple[PanelCamera, float]:
     """Return the camera of one handedness that fits an image best, and its chi-square, infinite if there is none.
 
     Of the wrong handedness the last steps may gain too little to converge: its chi-square is as good as the least.

@@ -54,19 +54,26 @@ MIN_DISTORTION = 0.01
 def checks_of_image(fit: SolidAdjustment, image: int, c_arm: CArm | None) -> list[Check]:
     """Return the checks of one image: its balls, that its kind is that of the frame, and what is known of the C-arm."""
     own = fit.images[image]
-    kind = _is_distorted(own) if isinstance(own, DetectorPlateImage) else _distortion(fit, image)
     needed = f"balls of the solid are used; {MIN_BALLS} are needed, 9 or more are good"
     count = count_check(int((own.rows < fit.solid.count).sum()), MIN_BALLS, needed, "")
-    return [count, kind, *_panel_checks(fit, image, c_arm)]
+    return [count, *checks_of_camera(fit, [image], c_arm)]
 
 
-def _distortion(fit: SolidAdjustment, image: int) -> Check:
-    """Return the check that an image has no pincushion distortion: that it is a flat panel's."""
-    own, camera = fit.images[image], fit.cameras[image]
-    off = own.uv_px - camera.centre_px
+def checks_of_camera(fit: SolidAdjustment, images: Sequence[int], c_arm: CArm | None) -> list[Check]:
+    """Return the checks of the camera of images: that its kind is that of the frame, and what is known of the C-arm."""
+    first = fit.images[images[0]]
+    kind = _is_distorted(first) if isinstance(first, DetectorPlateImage) else _distortion(fit, images)
+    return [kind, *_panel_checks(fit, images[0], c_arm)]
+
+
+def _distortion(fit: SolidAdjustment, images: Sequence[int]) -> Check:
+    """Return the check that images of one camera have no pincushion distortion: that they are a flat panel's."""
     direction = np.zeros(len(fit.residual))
-    cubic = off * (off**2).sum(axis=1, keepdims=True) / camera.focal_px**2
-    direction[fit.rows_of(image)] = (own.whiten @ cubic[..., None]).ravel()
+    for image in images:
+        own, camera = fit.images[image], fit.cameras[image]
+        off = own.uv_px - camera.centre_px
+        cubic = off * (off**2).sum(axis=1, keepdims=True) / camera.focal_px**2
+        direction[fit.rows_of(image)] = (own.whiten @ cubic[..., None]).ravel()
     sigma, limit = abs(float(fit.score(direction))), float(np.sqrt(chdtri(1, FALSE_ALARM)))
     sigma = beyond_misfit(sigma, fit.chi_square, fit.freedom)
     sentence = (
