@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 app = group("robot", "Simulate, check, calibrate or drive a robot.")
 
 SERIAL = "simulated"
+_SAMPLE_SEED = 1  # any one: the page shows its values
 _DRY_RUN = (
     "The wire draws back and the arm aligns in air; a faulty robot may drill on. Is the wire out, is nobody near, and "
     "is the way clear?"
@@ -182,25 +183,64 @@ def check(
         raise typer.Exit(3 if wrong else _NOT_ASKED)
 
 
-@command(app, "calibrate", "sightline robot calibrate measured.json --frame frame.json --out robot.json")
+@command(
+    app,
+    "calibrate",
+    "sightline robot calibrate measured.json --frame frame.json --out robot.json",
+    "sightline robot calibrate --simulated out/arm",
+    "sightline robot calibrate --from-images out/arm/images.json --out mount.json",
+)
 def calibrate(
     output: Output,
     *,
-    measurements: Annotated[Path, typer.Argument(help="JSON of measurements on the robot (docs/real-robot.md).")],
+    measurements: Annotated[
+        Path | None, typer.Argument(help="JSON of measurements on the robot (docs/real-robot.md).")
+    ] = None,
+    from_images: Annotated[
+        Path | None,
+        typer.Option(
+            help="Instead: JSON of images of a block on the flange, each with the flange's pose (docs/real-robot.md); "
+            "gives the block's mount."
+        ),
+    ] = None,
+    simulated: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Instead: write simulated images with their list to a folder.")
+    ] = None,
     frame: Annotated[
         str | None,
-        typer.Option(help="File of the frame on the flange; without it plans that state theirs are refused."),
+        typer.Option(
+            help="File of the frame on the flange; without it plans that state theirs are refused. With --from-images "
+            "the list names it."
+        ),
     ] = None,
-    out_file: Annotated[Path, typer.Option("--out", help="Robot file to write.")] = Path("robot.json"),
+    out_file: Annotated[
+        Path | None, typer.Option("--out", help="File to write: robot.json, or mount.json.", show_default=False)
+    ] = None,
 ) -> None:
-    """Calibrate a robot from measurements.
+    """Calibrate a robot from measurements, or from images.
 
-    Axes, frame and wire are measured; the result is the robot file that register and drive need.
+    From measurements of axes, frame and wire comes the robot file that register and drive need; from images of a block
+    on the flange its place there, with its error.
     """
     from sightline.frame import Frame
     from sightline.robot.kinematics.measured import Measurements, RobotFile
 
+    if sum(given is not None for given in (measurements, from_images, simulated)) != 1:
+        raise typer.BadParameter("give a file of measurements, --from-images or --simulated")
+    if simulated is not None:
+        from sightline.rehearsal.arm_images import write_arm_images
+
+        with output.step("drawing images"):
+            listed = write_arm_images(simulated, _SAMPLE_SEED)
+        output.written([listed])
+        output.result({"file": str(listed)})
+        return
+    if from_images is not None:
+        _calibrate_from_images(output, from_images, frame, out_file or Path("mount.json"))
+        return
+    assert measurements is not None  # noqa: S101 - one of the three is given
     measured, known = Measurements.read(measurements), None if frame is None else Frame.load(frame)
+    out_file = out_file or Path("robot.json")
     robot, rms = RobotFile.calibrated(measured, measurements.parent)
     if known is not None:
         robot = robot.of_frame(known.serial, known.fingerprint)
@@ -210,6 +250,36 @@ def calibrate(
     output.table("Residuals, mm", ("measured", "rms", "stated, per axis"), rows)
     output.say(f"robot {robot.robot_serial} with frame {robot.frame_serial}: {out_file}")
     output.result({"file": str(out_file), "residual_rms_mm": rms, "robot_serial": robot.robot_serial})
+
+
+def _calibrate_from_images(output: Output, file: Path, frame: str | None, out_file: Path) -> None:
+    import numpy as np
+
+    from sightline.common.atomic import write_whole
+    from sightline.common.checks import failed
+    from sightline.frame import Frame
+    from sightline.from_images.arm import ArmImages, calibrate_on_arm
+
+    listed = ArmImages.read(file)
+    block = listed.frame_in(file.parent) if frame is None else Frame.load(frame)
+    with output.step("finding beads and adjusting"):
+        found = calibrate_on_arm(listed, file.parent, block)
+    rows: list[tuple[str, str, str, str]] = []
+    for name, off in found.held.deviations().items():
+        shift = "far" if off.shift_mm is None else f"{off.shift_mm:.3f}"
+        used = "left out: contradicts the others" if name in found.held.bad else "used"
+        rows.append((name, shift, f"{np.degrees(off.rotation):.3f}", used))
+    rows += [(name, "-", "-", f"left out: {why}") for name, why in found.unseen.items()]
+    output.table("Block in each image against all others", ("image", "mm", "°", ""), rows)
+    x, y, z = found.mount.pose.translation
+    place, rotation = found.error_95
+    output.say(f"block {block.key.rstrip('/')} on the flange: ({x:.2f}, {y:.2f}, {z:.2f}) mm")
+    output.say(f"its 95 % error: {place:.3f} mm in its middle, {np.degrees(rotation):.3f}°")
+    document = found.document(listed)
+    if not failed(found.held.checks):
+        write_whole(out_file, as_json(document).encode())
+        output.written([out_file])
+    output.result(document, found.held.checks)
 
 
 @command(

@@ -151,11 +151,11 @@ def calibrate_on_arm(listed: ArmImages, folder: Path, frame: Frame) -> ArmCalibr
     arms: set[CArm | None] = set()
     for k, listing in enumerate(listed.images):
         image = read_image(folder / listing.file)
-        arms.add(known_arm(image))
         try:
             image, beads = find_beads(image)
             seen.append(label_beads(image, beads, frame, listing.file))
             at.append(k)
+            arms.add(known_arm(image))
         except RefusedError as refused:
             unseen[listing.file] = str(refused)
     if len(arms) > 1:
