@@ -60,9 +60,9 @@ class Controller:
         while self.commands and self.commands[0][0] + delay_s <= now_s:
             self.take(self.commands.popleft()[1], now_s)
         passed = min(now_s - self.begun_s, self.path.x[-1])
-        share = 1 - np.exp((self.at_s - now_s) / LAG_S)
-        moved = share * (self.path(passed) - self.q)
-        self.q, self.v, self.at_s = self.q + moved, moved / max(now_s - self.at_s, 1e-6), now_s
+        left = np.exp((self.at_s - now_s) / LAG_S)
+        self.q, self.at_s = self.path(passed) + left * (self.q - self.path(passed)), now_s
+        self.v = (self.path(passed) - self.q) / LAG_S
         self.log["time_s"].append(now_s)
         self.log["q"].append(self.q.tolist())
         self.states.append((now_s, self.sample()))

@@ -72,7 +72,9 @@ class Franka:
         if self.course:
             self.q = self.course.pop(0) - self.short
         time = SimpleNamespace(to_sec=lambda ms=self.ms: ms / 1000)
-        return SimpleNamespace(time=time, q=self.q, robot_mode=self.mode, current_errors="[joint_reflex]")
+        return SimpleNamespace(
+            time=time, q=self.q, q_d=self.q + self.short, robot_mode=self.mode, current_errors="[joint_reflex]"
+        )
 
     def move(self, motion: list[Any] | str, asynchronous: bool) -> None:
         assert asynchronous

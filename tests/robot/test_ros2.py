@@ -57,7 +57,7 @@ def test_trajectories_are_followed_by_messages_that_rest_within_a_tenth_of_a_sec
         ("late", "no new joint states|s old"),
         ("frozen", "no new joint states|s old"),
         ("nan", "wrist_2 is at nan"),
-        ("degrees", "must be in rad and m"),
+        ("degrees", "not in rad and m"),
         ("renamed", "reports feed, tool0, wrist_2"),
         ("fewer", "the arm has shoulder_pan"),
     ],

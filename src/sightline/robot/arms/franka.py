@@ -70,7 +70,10 @@ class FrankaArm:
     def follow(self, trajectory: JointTrajectory) -> None:
         """Begin a trajectory. Raises RobotRefusedError after a fault, or if the arm is not as fast."""
         with self._lock:
-            path = checked(trajectory, self.joints, self._latest().encoders, np.ones(len(self.joints), dtype=bool))
+            at = self._latest().encoders
+            if self._robot.is_in_control:  # the servo lags behind what is commanded
+                at = np.array(self._state.q_d)
+            path = checked(trajectory, self.joints, at, np.ones(len(self.joints), dtype=bool))
             end_s = float(path.x[-1])
             times = (
                 path.x

@@ -25,8 +25,8 @@ from sightline.robot.contract import STATUS_S
 from sightline.robot.plant import PlantFlag, Reading
 
 PERIOD_S = 0.02  # between two messages [ours]
-LATE_S = 0.1  # greatest age of a sample, time without one, and time without a call of `state` [as long as a stop takes]
-MISSED = round(LATE_S / PERIOD_S)
+# Greatest age of a sample; periods without one, or without a call of `state` [as long as a stop takes].
+LATE_S, MISSED = 0.1, 5
 # Times of a message's points, and the pace there, as a share of the trajectory's own, linear in between: of a message
 # that goes on, and of one that stops (as a share of the pace before it).
 GOING_S, GOING = np.array([0.0, 0.02, 0.04, 0.06, 0.08, 0.1]), np.array([1.0, 1.0, 1.0, 2 / 3, 1 / 3, 0.0])
@@ -41,9 +41,14 @@ class _Course:
         self._ahead = CubicHermiteSpline([0.0, 1.0], [0.0, 1.0], [1.0, 1.0])
         self._sent_s, self.done = monotonic(), False
 
+    @property
+    def position(self) -> np.ndarray:
+        """Where the last message has brought the arm by now, (n,): a servo lags behind it."""
+        since_s = min(monotonic() - self._sent_s, self._ahead.x[-1])
+        return self._path(min(float(self._ahead(since_s)), self._path.x[-1]))
+
     def message(self, goes_on: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the times (M,), positions and velocities (M, n) of the next message, from where the last one has
-        brought the arm by now: late messages make it slower, and it does not jump."""
+        """Return times (M,), positions and velocities (M, n) of the next message: a late one slows the arm, no jump."""
         now_s = monotonic()
         since_s = min(now_s - self._sent_s, self._ahead.x[-1])
         at_s, pace = float(self._ahead(since_s)), float(self._ahead(since_s, 1))
@@ -57,9 +62,8 @@ class _Course:
 class Ros2Arm:
     """The arm whose controller listens at `namespace`/joint_trajectory_controller and reports `namespace`/joint_states.
 
-    `joints`: its names in the order of all arrays (n,); `lower`, `upper`: their limits, rad or mm; `rotary`: which
-    rotate. Joints are matched by name. Motion ends if no joint states come, or `state` is not called, for LATE_S. A
-    fault is reported by `state` until `hold` or `stop`. Raises RobotRefusedError if no joint states come.
+    `joints` are matched by name; `lower`, `upper`: their limits, rad or mm; `rotary`: which rotate. Motion ends if no
+    joint states come, or `state` is not called, for LATE_S. `state` reports a fault until `hold` or `stop`.
     """
 
     def __init__(
@@ -69,10 +73,9 @@ class Ros2Arm:
         slack = np.where(rotary, START_RAD, START_MM)
         self._lower, self._upper, self._rotary = lower - slack, upper + slack, rotary
         self._scale = np.where(rotary, 1.0, 1000.0)  # from the units of ROS to ours
-        self._lock, self._first = Lock(), Event()
+        self._lock, self._first, self._fault = Lock(), Event(), ""
         self._reading: Reading | None = None
         self._course: _Course | None = None
-        self._fault = ""
         self._silent = self._unasked = 0  # periods: a pause of this process is not the arm's silence
         self._states = f"{namespace}/joint_states"
         self._commands = f"{namespace}/joint_trajectory_controller/joint_trajectory"
@@ -92,10 +95,9 @@ class Ros2Arm:
         self._executor.add_node(self._node)
         self._thread = Thread(target=self._executor.spin, name="rclpy", daemon=True)
         self._thread.start()
-        self._first.wait(STATUS_S)
-        ends_s = monotonic() + STATUS_S
-        while self._node.count_subscribers(self._commands) == 0 and monotonic() < ends_s:
-            sleep(PERIOD_S)  # it may be found after the states
+        ends_s = monotonic() + STATUS_S  # to find the two topics
+        while not (self._first.is_set() and self._node.count_subscribers(self._commands)) and monotonic() < ends_s:
+            sleep(PERIOD_S)
         try:
             self.state()
         except RobotRefusedError:
@@ -104,8 +106,7 @@ class Ros2Arm:
 
     def close(self) -> None:
         """Stop the arm and leave ROS 2."""
-        with self._lock:
-            self._end(self._fault)
+        self.hold()
         self._executor.shutdown()
         self._thread.join()
         self._node.destroy_node()
@@ -120,13 +121,15 @@ class Ros2Arm:
     def follow(self, trajectory: JointTrajectory) -> None:
         """Begin a trajectory. Raises RobotRefusedError after a fault, or without a controller of our own."""
         with self._lock:
-            path = checked(trajectory, self.joints, self._latest().encoders, self._rotary)
+            at, moving = self._latest().encoders, self._course is not None
+            path = checked(trajectory, self.joints, self._course.position if self._course else at, self._rotary)
             if self._node.count_subscribers(self._commands) == 0:
                 raise RobotRefusedError(f"no controller listens at {self._commands}")
             if self._node.count_publishers(self._commands) > 1:
                 raise RobotRefusedError(f"another program sends trajectories to {self._commands}: end it")
             self._course, self._unasked = _Course(path), 0
-            self._send(self._course, goes_on=True)
+            if not moving:
+                self._send(self._course, goes_on=True)
 
     def hold(self) -> None:
         """Decelerate along the path within 60 ms; the controller holds the position. Forgets a fault."""
@@ -153,8 +156,7 @@ class Ros2Arm:
         q = np.array(message.position)[[names.index(joint) for joint in self.joints]] * self._scale
         for joint, at, lower, upper in zip(self.joints, q, self._lower, self._upper, strict=True):
             if not lower <= at <= upper:  # also if it is not a number
-                place = f"{joint} is at {at:g}, outside {lower:g} to {upper:g}"
-                raise RobotRefusedError(f"{place}: {self._states} must be in rad and m")
+                raise RobotRefusedError(f"{joint} is at {at:g}, outside {lower:g} to {upper:g}: not in rad and m?")
         time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         age_s = 1e-9 * self._node.get_clock().now().nanoseconds - time_s
         if abs(age_s) > LATE_S:
@@ -164,8 +166,7 @@ class Ros2Arm:
 
     def _tick(self) -> None:
         with self._lock:
-            self._silent += 1
-            self._unasked += 1
+            self._silent, self._unasked = self._silent + 1, self._unasked + 1
             if self._course is None:
                 return
             if self._silent >= MISSED:
@@ -196,5 +197,4 @@ class Ros2Arm:
             )
             for time_s, q, velocity in zip(*course.message(goes_on), strict=True)
         ]
-        # Without a stamp a controller begins at once.
-        self._publisher.publish(msg.JointTrajectory(joint_names=list(self.joints), points=points))
+        self._publisher.publish(msg.JointTrajectory(joint_names=list(self.joints), points=points))  # no stamp: at once
