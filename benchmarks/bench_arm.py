@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import arm_peers
 from benchmarks.harness import Rows, trials
 from sightline.errors import RobotRefusedError
 from sightline.robot.kinematics.designs import DESIGNS, Design
@@ -25,6 +26,7 @@ def run(quick: bool) -> Rows:
     rows = Rows("arm")
     inverse_rows(rows, PLANS // 10 if quick else PLANS)
     hand_rows(rows, TRIALS // 10 if quick else TRIALS)
+    rows.extend(arm_peers.rows(quick))
     return rows
 
 
