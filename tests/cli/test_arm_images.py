@@ -101,7 +101,7 @@ def test_bad_images_are_named_and_a_knock_writes_nothing(sample, tmp_path):
     for name in ("image-03.dcm", "image-08.dcm"):
         assert f"{name}" in done.output
     found = json.loads(out.read_text())
-    assert [name for name, image in found["images"].items() if not image["used"]] == ["image-03.dcm", "image-08.dcm"]
+    assert {name for name, image in found["images"].items() if not image["used"]} == {"image-03.dcm", "image-08.dcm"}
     assert list(found["unseen"]) == ["empty.npy"]
     out.unlink()
     for image in document["images"][9:]:
