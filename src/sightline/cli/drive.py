@@ -46,7 +46,6 @@ FROM_CASE = "case"  # instead of files
 # A guide that is further off is told to the person who drills: a third of what is a fault, and a direction like it
 # [ours].
 GUIDE_TOLD_MM, GUIDE_TOLD_RAD = 0.3, math.radians(0.3)
-_STILL_MM, _STILL_ASKS = 1e-3, 3  # a simulated hand has ended after so many answers without a movement
 
 
 @dataclass(frozen=True)
@@ -356,7 +355,7 @@ def _guiding_steps(robot: "RobotClient", target: "RobotTarget", again_off: str) 
             f"Drill until {target.pushed_mm:.1f} mm of the wire have left the guide's mouth: until its free length "
             f"behind the guide is its whole length less {target.pushed_mm + guide_mm:.1f} mm. A length that is read "
             f"adds {2 * READ_DEPTH_SD_MM:.1f} mm to the depth's error (95 %). Is it drilled?",
-            lambda: watch.ended(robot),
+            lambda: watch.ended(robot, target),
             drills_on=True,
         ),
         _Step(
@@ -389,13 +388,12 @@ class GuideWatch:
             _answer(f"the guide is {_off(off_mm, off_rad)} from the plan: press less against it")
         self._told = beyond
 
-    def ended(self, robot: "RobotClient") -> None:
+    def ended(self, robot: "RobotClient", target: "RobotTarget") -> None:
         """Wait for the hand of a simulated person, and say how far the guide was off while the wire was drilled."""
+        from sightline.rehearsal.operation import await_hand
+
         if robot.simulated:
-            tip, still = robot.simulated_wire().wire_mm[2], 0
-            while still < _STILL_ASKS:
-                before, tip = tip, robot.simulated_wire().wire_mm[2]
-                still = still + 1 if abs(tip - before).max() < _STILL_MM else 0
+            await_hand(robot, target)
         _answer(f"the guide was at most {_off(*self.largest)} from the plan")
 
 
@@ -430,7 +428,7 @@ def _send(robot: "RobotClient", plan: "PlanFile", name: str, simulator: Simulato
     q = robot.simulated_wire().imaged  # where it stood at the images, not where an earlier drive left it
     poses = {view: PoseAtImage(q, now, now) for view in ("pa", "lateral")}
     # A new name each time: a robot refuses a plan that it has drilled.
-    stood = register(robot_at(plan.procedure, plan.side or "", held), poses)
+    stood = register(robot_at(plan.procedure, plan.side or "", held, simulator.arm), poses)
     target = _target(plan, f"{name}-{now:.0f}", simulator.frame_serial or SERIAL, stood)
     _tell(robot, target, now)
     return target

@@ -43,6 +43,10 @@ class Simulator:
         typer.Option(min=0, help="Rehearse on the patient of this seed, whose images `sightline demo` writes."),
     ] = None
     frame: FrameName = "gamma"
+    arm: Annotated[
+        Literal["manipulator", "six-axis", "seven-axis"],
+        typer.Option(help="The arm: ours feeds the wire, the others hold the guide while a person drills."),
+    ] = "manipulator"
 
     def theatre(self, side: str, procedure: str) -> "SimulatedTheatre":
         """Return a robot in air, or at the rehearsed patient. Raises UnusableInputError, SetUpError."""
@@ -54,7 +58,7 @@ class Simulator:
         from sightline.frame import Frame
         from sightline.rehearsal.operation import SimulatedTheatre
 
-        return SimulatedTheatre.in_air(side, self.frame_serial or SERIAL, Frame.load(self.frame))
+        return SimulatedTheatre.in_air(side, self.frame_serial or SERIAL, Frame.load(self.frame), self.arm)
 
     def patient(self, side: str, procedure: str) -> "Rehearsal | None":
         """Return the patient of a procedure's rehearsal; of a file of the user's, a hip screw's. None without one.
@@ -76,7 +80,7 @@ class Simulator:
                 f"--rehearse simulates no robot for {procedure!r}, of which the plan is: leave it out"
             )
         known = procedure if procedure in (*AT_HIP, NAILED) else "hip-screw"
-        return Rehearsal.draw(self.rehearse, Frame.load(self.frame), side, known)
+        return Rehearsal.draw(self.rehearse, Frame.load(self.frame), side, known, self.arm)
 
 
 @dataclass(frozen=True)

@@ -323,14 +323,14 @@ def insert(
     confirm(State.ALIGNED)
     if not target.registration.robot.manipulator.has_feed:
         client.guide()
-        _await_hand(client, target)
+        await_hand(client, target)
         return recorder.record
     while (state := State(client.drill())) is not State.DONE:
         confirm(state)
     return recorder.record
 
 
-def _await_hand(client: RobotClient, target: RobotTarget) -> None:
+def await_hand(client: RobotClient, target: RobotTarget) -> None:
     """Wait until the person at a simulated robot has drilled: the wire stands about at its depth.
 
     Raises RobotRefusedError with the robot's fault, LinkError if nobody drills so far."""
