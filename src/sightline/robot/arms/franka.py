@@ -26,7 +26,7 @@ STEP_S = 0.1
 # is corrected by the difference.
 CORRECTIONS, CORRECTED_RAD = 5, 2e-5
 # The joints stand if their means over such windows differ by less; a joint may swing by 0.1 mrad [ours: franky-sim].
-WINDOW_S, REST_RAD = 0.25, 2e-5
+WINDOW_S, REST_RAD = 0.25, 5e-5
 
 
 class FrankaArm:
