@@ -226,6 +226,8 @@ class FollowingArm:
         return Reading(0.0 if self.spoil == "frozen" else self.time_s, q, 0.0, PlantFlag.RUN_HELD)
 
     def follow(self, trajectory: JointTrajectory) -> None:
+        if self.spoil == "refuses":
+            raise RobotRefusedError("the trajectory ends outside its workspace")
         self._waiting.append((self.time_s + self.LATE_S, trajectory))
 
     def hold(self) -> None:
@@ -284,6 +286,7 @@ def test_an_arm_with_its_own_controller_comes_to_its_target():
         ("NaN", "gives no number"),
         ("fault", "protective stop"),
         ("half speed", "from where it should be"),
+        ("refuses", "outside its workspace"),
         ("never stops", "from where it should be|still move"),
     ],
 )

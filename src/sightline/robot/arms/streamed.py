@@ -21,15 +21,17 @@ class StreamedArm:
     def __init__(self, arm: ArmAdapter, clock: Callable[[], float] = time.monotonic) -> None:
         self._arm, self._clock = arm, clock
         self._latest = arm.state()
+        self._refused = ""  # why the arm's controller followed no longer
         self._commanded: np.ndarray | None = None  # position, while it moves
         self._told_s = self._sent_s = -np.inf
 
     def read(self) -> Reading:
         """See Plant."""
         try:
-            self._latest = self._arm.state()
+            self._latest = replace(self._arm.state(), fault=self._refused)
         except RobotRefusedError as error:
             self._latest = replace(self._latest, fault=str(error))
+        self._refused = ""
         return self._latest
 
     def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
@@ -47,13 +49,11 @@ class StreamedArm:
             at = self._commanded
             ahead = at + AHEAD_S * velocity
             rest = ahead + (REST_S - AHEAD_S) / 2 * velocity
-            self._arm.follow(
-                JointTrajectory(
-                    np.array([0.0, AHEAD_S, REST_S]),
-                    np.stack([at, ahead, rest]),
-                    np.stack([velocity, velocity, np.zeros_like(velocity)]),
-                )
-            )
+            positions, velocities = np.stack([at, ahead, rest]), np.stack([velocity, velocity, 0 * velocity])
+            try:
+                self._arm.follow(JointTrajectory(np.array([0.0, AHEAD_S, REST_S]), positions, velocities))
+            except RobotRefusedError as error:
+                self._refused = str(error)
 
     def hold(self) -> None:
         """See Plant."""
