@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from arms import SIX, as_mjcf, calibrated
 from scipy.spatial.transform import RigidTransform
+from tests.robot.arms import SIX, as_mjcf, calibrated
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.rehearsal.operation import calibrated_robot, true_manipulator
