@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.calibration import CArm
 from sightline.calibration.solids.held import MIN_IMAGES, HeldCalibration, calibrate_held
-from sightline.common.bounded import MAX_TEXT_BYTES, read_bounded
 from sightline.common.geometry.covariance import length_quantile
 from sightline.common.geometry.rigid import displacement, why_not_rigid
 from sightline.detection.results import Observations
@@ -22,7 +21,7 @@ from sightline.from_images.pipeline import find_beads, known_arm, label_beads
 from sightline.imaging import read_image
 from sightline.robot.kinematics.by_images import refuse_alike
 from sightline.robot.kinematics.calibrated import Mount
-from sightline.robot.kinematics.measured import Pose, Positive, Serial
+from sightline.robot.kinematics.measured import Pose, Positive, Serial, read_model
 
 MAX_IMAGES = 60  # [ours] 15 are proposed
 
@@ -60,13 +59,7 @@ class ArmImages(_Part):
     @staticmethod
     def read(file: Path) -> "ArmImages":
         """Return the list in a file. Raises UnusableInputError."""
-        data = read_bounded(file, MAX_TEXT_BYTES, UnusableInputError, "give a list of images and poses")
-        try:
-            listed = ArmImages.model_validate_json(data)
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"])) or "not a list of images"
-            raise UnusableInputError(f"{file.name}: {where}: {first['msg']}") from None
+        listed: ArmImages = read_model(file, ArmImages, "give a list of images and poses")
         for image in listed.images:
             if why := why_not_rigid(np.array(image.T_base_flange)):
                 raise UnusableInputError(f"{file.name}: the pose of {image.file} is not a rigid motion: {why}")

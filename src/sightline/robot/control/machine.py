@@ -6,6 +6,7 @@ from math import isfinite
 
 import numpy as np
 
+from sightline.common.geometry.lines import angle_rad
 from sightline.robot.contract import MAX_KEPT, Code
 from sightline.robot.control.course import STANDING_SHARE, Activity, align, moving_limit, retract
 from sightline.robot.control.drilling import Drilling
@@ -281,9 +282,8 @@ class Machine:
         manipulator, insertion = self.robot.manipulator, self.insertion
         if manipulator.has_feed or insertion is None or self.state not in (State.ALIGNED, State.GUIDE):
             return None
-        held, now = (manipulator.tool_matrix(q)[:3, 2:] for q in (insertion.q, self.q))
-        sine = np.linalg.norm(np.cross(held[:, 0], now[:, 0]))
-        return float(np.linalg.norm(now[:, 1] - held[:, 1])), float(np.arctan2(sine, held[:, 0] @ now[:, 0]))
+        held, now = manipulator.tool_matrix(np.stack([insertion.q, self.q]))[:, :3]
+        return float(np.linalg.norm(now[:, 3] - held[:, 3])), float(angle_rad(held[:, 2], now[:, 2]))
 
     def _guide_fault(self) -> str | None:
         off = self.guide_off

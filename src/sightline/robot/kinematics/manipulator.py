@@ -293,8 +293,10 @@ class Manipulator:
         self, tip: np.ndarray, direction: np.ndarray, rotation: np.ndarray | None, near: np.ndarray | None
     ) -> np.ndarray:
         middle = (self.lower + self.upper) / 2 if near is None else np.asarray(near, dtype=np.float64)
-        found = self._wrapped(self._newton(middle[None], tip, direction, rotation), middle)
-        if self.count > _DETERMINED or not len(found) or self.beyond_limits(found).any():
+        found = np.empty((0, self.count))
+        if self.count <= _DETERMINED:
+            found = self._wrapped(self._newton(middle[None], tip, direction, rotation), middle)
+        if not len(found) or self.beyond_limits(found).any():
             found = self._wrapped(self._newton(np.vstack([middle, self._starts]), tip, direction, rotation), middle)
         if not len(found):
             raise RobotRefusedError(

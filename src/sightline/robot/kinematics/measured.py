@@ -95,7 +95,7 @@ class Measurements(_Part):
     @staticmethod
     def read(file: Path) -> "Measurements":
         """Return the measurements in a file. Raises UnusableInputError."""
-        return _read(file, Measurements)
+        return read_model(file, Measurements)
 
 
 class CapsulePart(_Part):
@@ -239,7 +239,7 @@ class RobotFile(_Part):
     @staticmethod
     def read(file: Path) -> "RobotFile":
         """Return the robot in a file. Raises UnusableInputError for a file that is not a valid robot."""
-        robot_file = _read(file, RobotFile)
+        robot_file = read_model(file, RobotFile)
         try:
             robot_file.robot()
         except UnusableInputError as error:
@@ -369,9 +369,10 @@ class RobotFile(_Part):
             )
 
 
-def _read(file: Path, model: type[Any]) -> Any:
+def read_model(file: Path, model: type[Any], advice: str = "give a robot's own file") -> Any:
+    """Return the `model` in a JSON file. Raises UnusableInputError."""
     try:
-        data = read_bounded(file, MAX_TEXT_BYTES, UnusableInputError, "give a robot's own file")
+        data = read_bounded(file, MAX_TEXT_BYTES, UnusableInputError, advice)
         return model.model_validate(loads(data))
     except ValidationError as error:
         first = max(error.errors(), key=lambda one: len(one["loc"]))  # of alternatives the one that was meant
