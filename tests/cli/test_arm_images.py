@@ -10,8 +10,9 @@ import pytest
 from benchmarks.scenes.held import error, true_mount
 from scipy.spatial.transform import RigidTransform
 from tests.cli.test_robot import run
+from tests.robot.arms import SIX
 
-from sightline.errors import UnusableInputError
+from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.from_images.arm import ArmImages
 from sightline.rehearsal.arm_images import START, BlockOnArm, sample_block
 
@@ -39,6 +40,8 @@ def listed(folder: Path, **changes) -> Path:
         ({"images": LISTED["images"][:7]}, "images"),
         ({"images": [*LISTED["images"][:7], LISTED["images"][0]]}, "lists an image twice"),
         ({"images": [{"file": "0.dcm", "T_base_flange": [[2, 0, 0, 0], *POSE[1:]]}] * 8}, "not a rigid motion"),
+        ({"images": [{"file": f"{k}.dcm", "q": [0.0] * 6} for k in range(8)]}, "q of each image and the arm"),
+        ({"arm": "six-axis"}, "q of each image and the arm"),
         ({"pose_sd": {"mm": 0.0, "rad": 1e-4}}, "pose_sd.mm"),
         ({"pose_sd": {"mm": 0.03}}, "pose_sd.rad"),
     ],
@@ -50,8 +53,16 @@ def test_a_list_that_is_wrong_is_refused(tmp_path, changes, said):
 
 def test_a_list_reads_its_poses(tmp_path):
     read = ArmImages.read(listed(tmp_path))
-    assert read.poses.as_matrix() == pytest.approx(np.array([POSE] * 8))
+    assert read.poses_in(tmp_path).as_matrix() == pytest.approx(np.array([POSE] * 8))
     assert read.frame_in(tmp_path).name == "block60"
+    at = [{"file": f"{k}.dcm", "q": [0.1 * k, -1.0, 0.4, 0.3, 0.2, 0.1]} for k in range(8)]
+    poses = ArmImages.read(listed(tmp_path, arm="six-axis", images=at)).poses_in(tmp_path)
+    assert poses[3].as_matrix() == pytest.approx(SIX.T_mcs_flange(np.array(at[3]["q"])).as_matrix())
+    in_degrees = [{**image, "q": np.rad2deg(image["q"]).tolist()} for image in at]
+    with pytest.raises(RobotRefusedError, match=r"joints in rad and mm.*at 0\.dcm joint 2 is at -3282\.8°"):
+        ArmImages.read(listed(tmp_path, arm="six-axis", images=in_degrees)).poses_in(tmp_path)
+    with pytest.raises(UnusableInputError, match=r"\(\.\.\., 6\)"):
+        ArmImages.read(listed(tmp_path, arm="six-axis", images=[{**i, "q": i["q"][:5]} for i in at])).poses_in(tmp_path)
 
 
 def test_one_source_is_asked_for(tmp_path):

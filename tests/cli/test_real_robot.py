@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 from tests.cli.test_robot import run, trajectory, written
 from tests.robot.rig import END_MM, IMAGED, wait_for
 from tests.robot.scripted_robot import ScriptedRobot, serving
+from tests.robot.test_by_images import measured, mount_file, pose_file
 from tests.robot.test_measured import measurements, true_robot
 
 from sightline.case.journal.originals import anonymous_name
@@ -103,6 +105,27 @@ def test_calibrate_register_and_drive(robot_file, plan, images):
             moved = [one for one in peer.commands[before:] if one in ("MOVE_TO_TARGET", "DRILL", "RETRACT")]
             assert len(moved) == agreed
         assert run("drive", plan, address, "--registration", robot_file, "--yes").exit_code == 3
+
+
+def test_an_arm_calibrated_by_images_at_poses_is_registered_by_its_pose(tmp_path, plan, images):
+    """The plan on both images is also that of its wire, for calibration and against the encoders."""
+    frame = {key: FRAME[key] for key in ("name", "serial", "fingerprint")}
+    mount_file(tmp_path, by_pose=True, frame=frame, measured_on=datetime.now(UTC).isoformat())
+    measured(tmp_path, measured_on=datetime.now(UTC).isoformat())
+    file = tmp_path / "robot.json"
+    done = run("calibrate", tmp_path / "measured.json", "--out", file, "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["residual_rms_mm"] == {}
+    for view in VIEWS:
+        pose = pose_file(tmp_path, measured_on=datetime.now(UTC).isoformat())
+        done = run("register", file, "--pose", pose, "--view", view, "--image", images[view], say="y\n")
+        assert done.exit_code == 0, done.output
+    done = run("register", file, "--from-images", plan, "--json")
+    assert done.exit_code == 0, done.output
+    assert run("register", file, "--view", "pa", "--image", images["pa"]).exit_code == 2
+    mount_file(tmp_path, by_pose=True, frame={**frame, "fingerprint": "gamma/SN-7#other"})
+    done = run("calibrate", tmp_path / "measured.json", "--out", file)
+    assert "the wire was planned with another frame file" in done.output.replace("\n", " ")
 
 
 @pytest.mark.parametrize("late_s", [1, 20, pytest.param(300, marks=pytest.mark.slow)])

@@ -65,7 +65,7 @@ def test_axes_of_any_arm_are_calibrated_with_an_honest_error(arm):
     """Of the flange relative to another pose, as it is used; the nominal axes leave a millimetre."""
     rng, squares = np.random.default_rng(11), []
     places = np.array([[80.0, 10.0, 60.0], [-60.0, 50.0, 20.0], [10.0, -70.0, 90.0]])
-    q = at_images(arm) + rng.uniform(-0.5, 0.5, (30, arm.count))
+    q = np.clip(at_images(arm) + rng.uniform(-0.5, 0.5, (30, arm.count)), arm.lower, arm.upper)
     true = arm.displaced(np.tile(MACHINED_SD, arm.arm_joints) * rng.standard_normal(6 * arm.arm_joints))
     measured = np.stack([true.T_mcs_flange(q).apply(place) for place in places], axis=1)
     found = calibrate_axes(arm, q, measured + 0.03 * rng.standard_normal((30, 3, 3)), 0.03)

@@ -11,10 +11,12 @@ import typer
 from sightline.cli.base import FrameName, Output, Rehearsed, Side, as_json, command, group, parse_address
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from sightline.case.interop.plan_file import PlanFile
     from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.rehearsal.rehearsal import Rehearsal
-    from sightline.robot.kinematics.measured import RobotFile
+    from sightline.robot.kinematics.measured import FlangePose, RobotFile
     from sightline.robot.kinematics.target import Registration
     from sightline.robot.link.server import RobotServer
 
@@ -226,8 +228,9 @@ def calibrate(
     From measurements of axes, frame and wire comes the robot file that register and drive need; from images of a block
     on the flange its place there, with its error.
     """
+    from sightline.errors import RobotRefusedError
     from sightline.frame import Frame
-    from sightline.robot.kinematics.measured import Measurements, RobotFile
+    from sightline.robot.kinematics.measured import Measurements, RobotFile, SeenWirePart
 
     if sum(given is not None for given in (measurements, from_images, simulated)) != 1:
         raise typer.BadParameter("give a file of measurements, --from-images or --simulated")
@@ -245,12 +248,18 @@ def calibrate(
     assert measurements is not None  # noqa: S101 - one of the three is given
     measured, known = Measurements.read(measurements), None if frame is None else Frame.load(frame)
     out_file = out_file or Path("robot.json")
-    robot, rms = RobotFile.calibrated(measured, measurements.parent)
+    folder, plan, seen = measurements.parent, None, None
+    if isinstance(measured.wire, SeenWirePart):
+        plan = read_plan(folder / measured.wire.plan)
+        assert plan.covariance_mm2 is not None  # noqa: S101 - read_plan refused
+        seen = plan.points_mm, plan.covariance_mm2
+    robot, rms = RobotFile.calibrated(measured, folder, seen)
     if known is not None:
         robot = robot.of_frame(known.serial, known.fingerprint)
+    if plan is not None and plan.frame != robot.frame:
+        raise RobotRefusedError(f"the wire was planned with another frame file than the block's: {plan.frame}")
     robot.write(out_file)
-    sd = {"axes": measured.axes.sd_mm, "frame": measured.frame.sd_mm, "wire": measured.wire.sd_mm}
-    rows = [(name, f"{rms[name]:.3f}", f"{sd[name]:.3f}") for name in rms]
+    rows = [(name, f"{rms[name]:.3f}", f"{getattr(measured, name).sd_mm:.3f}") for name in rms]
     output.table("Residuals, mm", ("measured", "rms", "stated, per axis"), rows)
     output.say(f"robot {robot.robot_serial} with frame {robot.frame_serial}: {out_file}")
     output.result({"file": str(out_file), "residual_rms_mm": rms, "robot_serial": robot.robot_serial})
@@ -279,7 +288,7 @@ def _calibrate_from_images(output: Output, file: Path, frame: str | None, out_fi
     place, rotation = found.error_95
     output.say(f"block {block.key.rstrip('/')} on the flange: ({x:.2f}, {y:.2f}, {z:.2f}) mm")
     output.say(f"its 95 % error: {place:.3f} mm in its middle, {np.degrees(rotation):.3f}°")
-    document = found.document(listed)
+    document = found.document(listed, file.parent)
     if not failed(found.held.checks):
         write_whole(out_file, as_json(document).encode())
         output.written([out_file])
@@ -290,6 +299,7 @@ def _calibrate_from_images(output: Output, file: Path, frame: str | None, out_fi
     app,
     "register",
     "sightline robot register robot.json 127.0.0.1:18936 --view pa --image pa.dcm",
+    "sightline robot register robot.json --pose pose.json --view pa --image pa.dcm",
     "sightline robot register robot.json --from-images out/wire/plan.json",
 )
 def register_image(
@@ -301,6 +311,13 @@ def register_image(
     image: Annotated[
         Path | None, typer.Option(help="File of the image, once it is taken; the plan must be made on it.")
     ] = None,
+    pose: Annotated[
+        Path | None,
+        typer.Option(
+            help="Instead of HOST:PORT: JSON of the flange's pose at the image, for an arm calibrated by images at "
+            "poses (docs/real-robot.md)."
+        ),
+    ] = None,
     from_images: Annotated[
         Path | None,
         typer.Option(
@@ -309,42 +326,65 @@ def register_image(
         ),
     ] = None,
 ) -> None:
-    """Record the robot's joints at an image.
+    """Record the robot's joints, or its flange's pose, at an image.
 
-    Once for each view. The joints are kept in the robot file. Then, if the images show the wire, --from-images.
+    Once for each view; kept in the robot file. Then, if the images show the wire, --from-images.
     """
     if from_images is not None:
-        if (address, view, image) != (None, None, None):
+        if (address, view, image, pose) != (None, None, None, None):
             raise typer.BadParameter("--from-images takes the robot file alone: both images are registered before it")
         _register_from_images(output, robot_file, from_images)
         return
-    if address is None or view is None or image is None:
-        raise typer.BadParameter("give HOST:PORT, --view and --image, or --from-images")
+    if (address is None) == (pose is None) or view is None or image is None:
+        raise typer.BadParameter("give HOST:PORT or --pose, with --view and --image, or give --from-images")
     import time
 
     from sightline.case.journal.originals import anonymous_name
-    from sightline.errors import RobotRefusedError
     from sightline.imaging import read_image
     from sightline.robot.kinematics.measured import RobotFile
-    from sightline.robot.link.client import RobotClient
 
     known = RobotFile.read(robot_file)
     known.refuse_old(time.time())
-    with RobotClient(*parse_address(address), heartbeat=False, streams=False) as robot:
-        before = robot.joints()[0]
-        question = (
-            f"Take the {view} image now, with the frame {known.frame_serial} on the robot's flange and nowhere "
-            f"else; robot {known.robot_serial} must not move. Is the image in {image.name}?"
-        )
-        if not typer.confirm(question, err=True):
-            raise RobotRefusedError("no image was taken, so nothing was registered; run the command again")
-        q, now = robot.joints()[0], time.time()
-    known.refuse_moved(before, q)
+    question = (
+        f"Take the {view} image now, with the frame {known.frame_serial} on the robot's flange and nowhere else; robot "
+        f"{known.robot_serial} must not move. Is the image in {image.name}?"
+    )
+    at, now = _where_it_is(known, address, pose, question)
     read_image(image, 0)  # raises if it is not an image
     source = anonymous_name(image)
-    known.at_image(view, q, now, source).write(robot_file)
+    registered = known.at_image(view, at, now, source)
+    registered.write(robot_file)
+    q = registered.images[view].q
     output.say(f"joints at the {view} image: {', '.join(f'{joint:.3f}' for joint in q)} (mm, rad)")
     output.result({"file": str(robot_file), "view": view, "joints": q, "read_s": now, "source": source})
+
+
+def _where_it_is(
+    known: "RobotFile", address: str | None, pose: Path | None, question: str
+) -> "tuple[np.ndarray | FlangePose, float]":
+    """Return the joints of a robot at an address once a person says that the image is taken, or the pose in a file, and
+    its time. Raises RobotRefusedError, UnusableInputError."""
+    import time
+
+    from sightline.errors import RobotRefusedError
+    from sightline.robot.kinematics.measured import FlangePose
+    from sightline.robot.link.client import RobotClient
+
+    def ask() -> None:
+        if not typer.confirm(question, err=True):
+            raise RobotRefusedError("no image was taken, so nothing was registered; run the command again")
+
+    if pose is not None:
+        stated = FlangePose.read(pose)
+        ask()
+        return stated, stated.measured_on.timestamp()
+    assert address is not None  # noqa: S101 - one of the two is given
+    with RobotClient(*parse_address(address), heartbeat=False, streams=False) as robot:
+        before = robot.joints()[0]
+        ask()
+        q, now = robot.joints()[0], time.time()
+    known.refuse_moved(before, q)
+    return q, now
 
 
 def _register_from_images(output: Output, robot_file: Path, wire: Path) -> None:
@@ -373,7 +413,7 @@ def _pose_errors(stood: "Registration") -> tuple[float, float]:
 
     tool = stood.robot.manipulator.T_mcs_tool(stood.q)
     wire = tool.apply(np.array([[0.0, 0.0, -100.0], [0.0, 0.0, 0.0]]))
-    covariance = sum(stood.robot.wire_against_frame(stood.q, stood.q, wire).values(), np.zeros((6, 6)))
+    covariance = sum(stood.robot.wire_against_frame(stood.q, stood.q, wire, stood.stated).values(), np.zeros((6, 6)))
     by_point = line_direction(*wire)
     angle = float(length_quantile(by_point @ covariance @ by_point.T))
     return float(length_quantile(covariance[3:, 3:])), float(np.rad2deg(angle))

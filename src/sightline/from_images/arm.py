@@ -21,7 +21,8 @@ from sightline.from_images.pipeline import find_beads, known_arm, label_beads
 from sightline.imaging import read_image
 from sightline.robot.kinematics.by_images import refuse_alike
 from sightline.robot.kinematics.calibrated import Mount
-from sightline.robot.kinematics.measured import Pose, Positive, Serial, read_model
+from sightline.robot.kinematics.designs import Design
+from sightline.robot.kinematics.measured import Joints, ModelPart, Pose, PoseSdPart, Serial, arm_of, even, read_model
 
 MAX_IMAGES = 60  # [ours] 15 are proposed
 
@@ -33,25 +34,21 @@ class _Part(BaseModel):
 
 
 class ArmImagePart(_Part):
-    """An image, its `file` beside the list, and the flange's pose in the arm's base at it (4, 4), mm."""
+    """An image, its `file` beside the list, and the arm's joints at it, or the flange's pose in its base (4, 4), mm."""
 
     file: Name
-    T_base_flange: Pose
-
-
-class PoseSdPart(_Part):
-    """Errors of the arm's poses, 1 s.d. per axis: of the flange's origin, mm, and of its rotation, rad."""
-
-    mm: Positive
-    rad: Annotated[float, Field(gt=0, le=0.1)]
+    q: Joints | None = None
+    T_base_flange: Pose | None = None
 
 
 class ArmImages(_Part):
-    """Images of a block on an arm's flange. `frame`: the block, a built-in one or a file beside the list."""
+    """Images of a block on an arm's flange. `frame`: the block, a built-in one or a file beside the list; `arm`: the
+    one whose joints are listed, None where poses are."""
 
     schema_: Annotated[Literal["sightline-arm-images/1"], Field(alias="schema")]
     robot_serial: Serial
     frame: Name
+    arm: Design | ModelPart | None = None
     measured_on: datetime
     pose_sd: PoseSdPart
     images: Annotated[list[ArmImagePart], Field(min_length=MIN_IMAGES, max_length=MAX_IMAGES)]
@@ -61,7 +58,11 @@ class ArmImages(_Part):
         """Return the list in a file. Raises UnusableInputError."""
         listed: ArmImages = read_model(file, ArmImages, "give a list of images and poses")
         for image in listed.images:
-            if why := why_not_rigid(np.array(image.T_base_flange)):
+            if (image.q is None) != (listed.arm is None) or (image.T_base_flange is None) == (listed.arm is None):
+                raise UnusableInputError(
+                    f"{file.name}: {image.file}: give q of each image and the arm, or T_base_flange of each and no arm"
+                )
+            if image.T_base_flange and (why := why_not_rigid(np.array(image.T_base_flange))):
                 raise UnusableInputError(f"{file.name}: the pose of {image.file} is not a rigid motion: {why}")
         if len({image.file for image in listed.images}) < len(listed.images):
             raise UnusableInputError(f"{file.name} lists an image twice; each pose has an image of its own")
@@ -71,10 +72,14 @@ class ArmImages(_Part):
         """Return the block. Raises FrameError."""
         return Frame.load(self.frame if self.frame in FRAME_NAMES else folder / self.frame)
 
-    @property
-    def poses(self) -> RigidTransform:
-        """(N) the poses of the flange in the base."""
-        return RigidTransform.from_matrix(np.array([image.T_base_flange for image in self.images]))
+    def poses_in(self, folder: Path) -> RigidTransform:
+        """Return the poses (N) of the flange in the base. Raises UnusableInputError, RobotRefusedError."""
+        if self.arm is None:
+            return RigidTransform.from_matrix(np.array([image.T_base_flange for image in self.images]))
+        arm, q = arm_of(self.arm, "right", folder), even([image.q or [] for image in self.images])
+        poses = arm.T_mcs_flange(q)
+        arm.refuse_misread(q, [image.file for image in self.images])
+        return poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +108,17 @@ class ArmCalibration:
         move, covariance = displacement(self.mount.pose.translation), self.mount.covariance
         return float(length_quantile(move @ covariance @ move.T)), float(length_quantile(covariance[:3, :3]))
 
-    def document(self, listed: ArmImages) -> dict[str, Any]:
-        """Return the mount as JSON types. `covariance` (6, 6): as of `Mount`, rad and mm."""
+    def document(self, listed: ArmImages, folder: Path) -> dict[str, Any]:
+        """Return the mount as JSON types. `covariance` (6, 6): as of `Mount`, rad and mm; `folder`: of the list."""
         camera, place = self.held.fit.at.camera, self.error_95
+        last, poses = listed.images[-1], listed.poses_in(folder)
         return {
             "schema": "sightline-mount/1",
             "robot_serial": listed.robot_serial,
             "measured_on": listed.measured_on.isoformat(),
             "frame": {"name": self.frame.name, "serial": self.frame.serial, "fingerprint": self.frame.fingerprint},
+            "pose_sd": listed.pose_sd.model_dump(),
+            "joints": None if last.q is None else {"q": last.q, "T_base_flange": poses[-1].as_matrix().tolist()},
             "T_flange_cfcs": self.mount.pose.as_matrix().tolist(),
             "covariance": self.mount.covariance.tolist(),
             "error_95": {"middle_mm": place[0], "rotation_deg": float(np.degrees(place[1]))},
@@ -138,6 +146,7 @@ def calibrate_on_arm(listed: ArmImages, folder: Path, frame: Frame) -> ArmCalibr
 
     Raises ImageError, UnusableInputError, RefusedError.
     """
+    poses = listed.poses_in(folder)
     seen: list[Observations] = []
     at: list[int] = []
     unseen: dict[str, str] = {}
@@ -158,8 +167,7 @@ def calibrate_on_arm(listed: ArmImages, folder: Path, frame: Frame) -> ArmCalibr
         raise CalibrationRefusedError(
             f"{len(seen)} of {len(listed.images)} images show the block ({MIN_IMAGES} are needed); {name}: {why}"
         )
-    sd = np.array([listed.pose_sd.rad] * 3 + [listed.pose_sd.mm] * 3)
-    return calibrated_on_arm(seen, frame, listed.poses[np.array(at)], sd, arms.pop(), unseen)
+    return calibrated_on_arm(seen, frame, poses[np.array(at)], listed.pose_sd.twist, arms.pop(), unseen)
 
 
 def calibrated_on_arm(  # noqa: PLR0917

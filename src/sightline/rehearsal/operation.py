@@ -24,7 +24,6 @@ from sightline.robot.control.insertion import IN_SLEEVE_MM, Insertion, OwnFrames
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Status
 from sightline.robot.kinematics.calibrated import (
-    COMPLIANCE_SD,
     MACHINED_SD,
     CalibratedAxes,
     CalibratedRobot,
@@ -67,8 +66,6 @@ AT_HIP = {
     6: (850.0, 100.0, np.deg2rad([18.0, -110.0, -120.0, -130.0, -72.0, 0.0])),
     7: (900.0, 400.0, np.deg2rad([30.0, 17.0, -34.0, -127.0, -4.0, 231.0, -78.0])),
 }
-# Of such an arm, as COMPLIANCE_SD: it is pushed by up to 20 N at the guide, and carries itself [calc].
-GUIDE_COMPLIANCE_SD = np.array([2e-4] * 3 + [0.07] * 3)
 # A drilled wire stands where its tip, this near to its depth, moves less than this between messages 20 ms apart, so
 # many times [ours]: its depth is read to 0.3 mm, and drilled at 1 mm/s.
 NEAR_MM, STILL_TIP_MM, STANDS = 2.0, 0.005, 5
@@ -89,7 +86,7 @@ def calibrated_robot(
     axes = CalibratedAxes(manipulator, np.diag(sd**2), np.zeros((0, 0)))
     known = (manipulator.T_flange_cfcs, manipulator.T_flange_tool)
     held, wire = (Mount(pose, np.diag(MOUNT_SD**2), np.zeros(0)) for pose in known)
-    return CalibratedRobot.of(axes, held, wire, COMPLIANCE_SD if manipulator.has_feed else GUIDE_COMPLIANCE_SD)
+    return CalibratedRobot.of(axes, held, wire)
 
 
 def joints_at_images(

@@ -1,6 +1,6 @@
 """Calibration of the manipulator: its axes, and the mounts of frame and wire on the flange, with their covariance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,8 @@ MACHINED_SD = np.array([1e-3] * 3 + [0.2] * 3)
 # Deflection under load between imaging and drilling that the encoders cannot see, 1 s.d. of the flange's twist: weight
 # of frame and drilling unit, a thrust of 35 N against 1000 N/mm [ours, physics.md "Drilling"].
 COMPLIANCE_SD = np.array([1e-4] * 3 + [0.03] * 3)
+# The same of an arm that holds a guide: it is pushed by up to 20 N, and carries itself [calc].
+GUIDE_COMPLIANCE_SD = np.array([2e-4] * 3 + [0.07] * 3)
 # The robot's sources of error in a trajectory; their covariances add up.
 SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
 # Repeatability of a block on its mount, s.d. of a twist about its own middle [ours]: 0.5 mrad and 0.05 mm, of dowel
@@ -74,19 +76,39 @@ def measured_axis(feed_mm: np.ndarray, tip_flange_mm: np.ndarray, sd_mm: float) 
     along_sd = sd_mm / np.sqrt(((feed - feed.mean()) ** 2).sum())
     squares = (residual**2).sum() / sd_mm**2 + ((length - 1) / along_sd) ** 2
     refuse_unlikely(squares, 3 * len(feed) - 5, "the measured tips")
-    z = slope / length
+    normal = sd_mm**2 * np.linalg.inv(design.T @ design)
+    return _along(origin, slope / length, np.kron(normal, np.eye(3)), np.linalg.norm(residual, axis=1))
+
+
+def seen_axis(wire_mm: np.ndarray, covariance_mm2: np.ndarray, feed_mm: float, sd_mm: float) -> Mount:
+    """Return the wire's mount on the frame, CFCS, from a point of it and its tip (2, 3) that images show, CFCS, with
+    their covariance (6, 6); pose as of `measured_axis`.
+
+    `feed_mm`: the feed, or how far the wire stands out of a guide's mouth; `sd_mm`: its error. Raises
+    UnusableInputError.
+    """
+    (point, tip), length = wire_mm, float(np.linalg.norm(wire_mm[1] - wire_mm[0]))
+    _need(length >= MIN_SEEN_MM, f"images of the wire need two points of it {MIN_SEEN_MM:g} mm apart or more")
+    z = (tip - point) / length
+    slope = (np.eye(3) - np.outer(z, z)) @ np.hstack([-np.eye(3), np.eye(3)]) / length
+    design = np.vstack([np.hstack([np.zeros((3, 3)), np.eye(3)]) - feed_mm * slope, slope])
+    joint = design @ covariance_mm2 @ design.T
+    joint[:3, :3] += sd_mm**2 * np.outer(z, z)
+    return _along(tip - feed_mm * z, z, joint, np.zeros(0))
+
+
+def _along(origin: np.ndarray, z: np.ndarray, joint: np.ndarray, residual_mm: np.ndarray) -> Mount:
+    """Return the mount with an origin and +z, from the joint covariance (6, 6) of both. An error dz across z is the
+    rotation z x dz about the origin."""
     across = np.linalg.svd(z[None])[2][1:]
     x, y = across if np.linalg.det(np.vstack([across, z])) > 0 else across[::-1]
     pose = RigidTransform.from_components(origin, Rotation.from_matrix(np.stack([x, y, z], axis=1)))
-    # Covariance of (origin, slope), per axis; a slope error dz across z is the rotation z x dz about the origin.
-    normal = sd_mm**2 * np.linalg.inv(design.T @ design)
-    joint = np.kron(normal, np.eye(3))
     to_rotation = np.cross(z, np.eye(3)).T
     to_twist = np.zeros((6, 6))
     to_twist[:3, 3:] = to_rotation
     to_twist[3:, :3] = np.eye(3)
-    to_twist[3:, 3:] = -displacement(origin)[:, :3] @ to_rotation  # the twist rotates about the flange's origin
-    return Mount(pose, to_twist @ joint @ to_twist.T, np.linalg.norm(residual, axis=1))
+    to_twist[3:, 3:] = -displacement(origin)[:, :3] @ to_rotation  # the twist rotates about the coordinates' origin
+    return Mount(pose, to_twist @ joint @ to_twist.T, residual_mm)
 
 
 def refuse_unlikely(squares: float, freedom: int, what: str) -> None:
@@ -118,13 +140,15 @@ class CalibratedRobot:
     """A calibrated robot. `manipulator`: with all calibrations applied.
 
     `covariance` (6 K + 12, 6 K + 12): of the twists of the arm's K axes (MCS, at q = 0), then of frame and wire on the
-    flange (flange coordinates). These errors are common to all poses. `compliance_sd` (6,): of the flange's twist that
-    the encoders cannot see, independent in every pose, flange coordinates.
+    flange (flange coordinates). These errors are common to all poses. Independent in every pose, of the flange's twist
+    in flange coordinates (6,): `compliance_sd`, that the encoders cannot see, and `pose_sd`, of kinematics that are
+    stated and not measured.
     """
 
     manipulator: Manipulator
     covariance: np.ndarray
     compliance_sd: np.ndarray
+    pose_sd: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
     def __post_init__(self) -> None:
         size = 6 * self.manipulator.arm_joints + 12
@@ -134,56 +158,67 @@ class CalibratedRobot:
             )
 
     @staticmethod
-    def of(
-        axes: CalibratedAxes, frame: Mount, wire: Mount, compliance_sd: np.ndarray = COMPLIANCE_SD
-    ) -> "CalibratedRobot":
-        """Return the robot from its three independent calibrations. The wire is fed along its mount's +z."""
+    def of(axes: CalibratedAxes, frame: Mount, wire: Mount, *, on_frame: bool = False) -> "CalibratedRobot":
+        """Return the robot from its three independent calibrations. The wire is fed along its mount's +z. `on_frame`:
+        the wire's mount is on the frame (`seen_axis`), not on the flange."""
         covariance = np.zeros((len(axes.covariance) + 12,) * 2)
         covariance[_AXES, _AXES] = axes.covariance
         covariance[_FRAME, _FRAME], covariance[_WIRE, _WIRE] = frame.covariance, wire.covariance
-        manipulator = axes.manipulator.with_mounts(frame.pose, wire.pose)
-        return CalibratedRobot(manipulator, covariance, np.asarray(compliance_sd, dtype=np.float64))
+        pose = wire.pose
+        if on_frame:
+            carried, pose = adjoint(frame.pose), frame.pose * wire.pose
+            covariance[_WIRE, _WIRE] = carried @ wire.covariance @ carried.T + frame.covariance
+            covariance[_WIRE, _FRAME] = covariance[_FRAME, _WIRE] = frame.covariance
+        manipulator = axes.manipulator.with_mounts(frame.pose, pose)
+        return CalibratedRobot(manipulator, covariance, COMPLIANCE_SD if manipulator.has_feed else GUIDE_COMPLIANCE_SD)
 
     def with_wire_seen(self, q: np.ndarray, wire_mm: np.ndarray, covariance_mm2: np.ndarray) -> "CalibratedRobot":
         """Return the robot with its mounts of frame and wire corrected by images of both at the joints `q` (n,).
 
         `wire_mm` (2, 3): a point of the wire and its tip, CFCS, as reconstructed from the images, with their
-        `covariance_mm2` (6, 6); along the wire only the tip counts. A linear update of the stated errors of the mounts:
-        axes, play and deflection are common to frame and wire at one pose, so only the feed's own error enters. Errors
-        of the images that a plan on them shares with the wire are counted in both. Raises UnusableInputError, and
-        RobotRefusedError where images and encoders disagree beyond their stated errors.
+        `covariance_mm2` (6, 6); along the wire only the tip counts, and where a wire stands out of a guide nothing. A
+        linear update of the stated errors of the mounts: axes, play and deflection are common to frame and wire at one
+        pose, so only the feed's own error enters. Errors of the images that a plan on them shares with the wire are
+        counted in both. Raises UnusableInputError, and RobotRefusedError where images and encoders disagree beyond
+        their stated errors.
         """
         (point, tip), manipulator = wire_mm, self.manipulator
         cfcs = manipulator.T_mcs_cfcs(q)
         known = cfcs.inv() * manipulator.T_mcs_tool(q)
         x, y, along = known.rotation.as_matrix().T
-        behind_mm = float((known.translation - point) @ along)
+        expected_tip = known.translation
+        if not manipulator.has_feed:
+            expected_tip = expected_tip + (tip - expected_tip) @ along * along
+        behind_mm = float((expected_tip - point) @ along)
         if behind_mm < MIN_SEEN_MM:
             raise UnusableInputError(
                 f"the first point lies {behind_mm:.0f} mm behind the wire's tip by the encoders (at least "
                 f"{MIN_SEEN_MM:g} mm); give a point of the wire near the guide as the entry and its tip as the end"
             )
-        on_wire = np.stack([known.translation - behind_mm * along, known.translation])
-        select = np.zeros((5, 6))
-        select[:2, :3], select[2:, 3:] = (x, y), np.eye(3)
+        on_wire = np.stack([expected_tip - behind_mm * along, expected_tip])
+        select = np.zeros((5 if manipulator.has_feed else 4, 6))
+        select[:2, :3], select[2:, 3:] = (x, y), np.eye(3) if manipulator.has_feed else (x, y)
         residual = select @ (wire_mm - on_wire).ravel()
         to_cfcs = np.kron(np.eye(2), cfcs.rotation.inv().as_matrix())
         move = select @ to_cfcs @ displacement(cfcs.apply(on_wire)).reshape(-1, 6)
-        design = np.zeros((5, len(self.covariance)))
+        design = np.zeros((len(select), len(self.covariance)))
         design[:, _WIRE] = move @ self._to_flange(q)
         design[:, _FRAME] = -design[:, _WIRE]
         fed = move @ (manipulator.tool_jacobian(q) - manipulator.flange_jacobian(q)) * self.joint_sd
         expected = design @ self.covariance @ design.T + select @ covariance_mm2 @ select.T + fed @ fed.T
-        _refuse_disagreement(residual, expected, tip - known.translation)
+        _refuse_disagreement(residual, expected, tip - expected_tip)
         gain = np.linalg.solve(expected, design @ self.covariance).T
         shift, covariance = gain @ residual, self.covariance - gain @ design @ self.covariance
         frame, wire = (RigidTransform.from_exp_coords(shift[block]) for block in (_FRAME, _WIRE))
         corrected = manipulator.with_mounts(frame * manipulator.T_flange_cfcs, wire * manipulator.T_flange_tool)
-        return CalibratedRobot(corrected, (covariance + covariance.T) / 2, self.compliance_sd)
+        return replace(self, manipulator=corrected, covariance=(covariance + covariance.T) / 2)
 
-    def wire_against_frame(self, imaged: np.ndarray, drilling: np.ndarray, xyz_mm: np.ndarray) -> dict[str, np.ndarray]:
+    def wire_against_frame(
+        self, imaged: np.ndarray, drilling: np.ndarray, xyz_mm: np.ndarray, stated: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
         """Return for each of SOURCES the covariance (3N, 3N) mm² of points (N, 3) MCS of the wire at the joints
-        `drilling` (n,), relative to a patient located in the frame at the joints `imaged` (n,).
+        `drilling` (n,), relative to a patient located in the frame at the joints `imaged` (n,). `stated` (6, 6): of the
+        flange's pose then, in place of `pose_sd`.
 
         Errors common to both poses cancel: at the same joints the axes cancel and the mounts remain.
         """
@@ -202,8 +237,10 @@ class CalibratedRobot:
             name: part @ covariance @ part.T for name, (part, covariance) in zip(SOURCES, shared, strict=False)
         }
         covariances["encoders"] = self._of_joints(move, drilling, feed=True) + self._of_joints(move, imaged, feed=False)
-        unseen = np.diag(self.compliance_sd**2)
+        unseen, pose = np.diag(self.compliance_sd**2), np.diag(self.pose_sd**2)
         covariances["compliance"] = move @ (wire @ unseen @ wire.T + frame @ unseen @ frame.T) @ move.T
+        then = pose if stated is None else stated
+        covariances["kinematics"] += move @ (wire @ pose @ wire.T + frame @ then @ frame.T) @ move.T
         return covariances
 
     def frame_moved(
@@ -220,7 +257,7 @@ class CalibratedRobot:
         then, stood = manipulator.T_mcs_cfcs(imaged), manipulator.T_mcs_cfcs(now)
         turned = self._to_flange(now) - self._to_flange(imaged)
         axes = manipulator.axes_jacobian(now) - manipulator.axes_jacobian(imaged)
-        unseen, remount = np.diag(self.compliance_sd**2), adjoint(stood) * REMOUNT_SD
+        unseen, remount = np.diag(self.compliance_sd**2 + self.pose_sd**2), adjoint(stood) * REMOUNT_SD
         twist = axes @ self.covariance[_AXES, _AXES] @ axes.T
         twist += turned @ self.covariance[_FRAME, _FRAME] @ turned.T + remount @ remount.T
         for q in (imaged, now):
@@ -275,6 +312,7 @@ def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarr
             f"{n} poses of {m} targets do not determine {manipulator.arm_joints} axes; measure more poses"
         )
     twists, places = np.zeros(len(known)), manipulator.T_mcs_flange(q[0]).inv().apply(measured[0])
+    manipulator.refuse_misread(q, [f"pose {k + 1}" for k in range(n)])
     for _ in range(_MAX_ITERATIONS):
         now = manipulator.displaced(twists)
         pose = now.T_mcs_flange(q)

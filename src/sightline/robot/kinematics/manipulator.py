@@ -5,6 +5,7 @@ pose is the product of exponentials of the screw axes, so axes displaced by a ca
 and twists as in geometry/rigid.py: (rotation rad, translation mm), spatial, in MCS.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -233,6 +234,21 @@ class Manipulator:
             displacements[..., joint + 1, :, :] = displacements[..., joint, :, :] @ each[..., joint, :, :]
         return displacements
 
+    def refuse_misread(self, q: np.ndarray, names: Sequence[str]) -> None:
+        """Raise RobotRefusedError for positions (N, n) that an arm cannot have had, as of joints in degrees. `names`
+        (N): of the positions."""
+        for name, at in zip(names, q, strict=True):
+            if text := self.excesses(at, "is at"):
+                raise RobotRefusedError(
+                    f"give the joints in rad and mm, from the base to the flange, of the arm that is named: at {name} "
+                    f"{text}"
+                )
+
+    def excesses(self, q: np.ndarray, *verb: str) -> str:
+        """Return `describe_excess` of the joints that exceed their limits at q (n,), "" if none does."""
+        beyond = self.beyond_limits(q)
+        return "; ".join(self.describe_excess(j, q[j], beyond[j], *verb) for j in np.flatnonzero(beyond).tolist())
+
     def describe_excess(self, joint: int, q: float, beyond: float, verb: str = "would go to") -> str:
         """Return the text that says by how much a joint would exceed its limit; with `verb` "is at", that it does."""
         scale, unit = (float(np.rad2deg(1.0)), "°") if self.rotary[joint] else (1.0, " mm")
@@ -372,12 +388,8 @@ class Manipulator:
         return room[:, : self.arm_joints].min(axis=1)
 
     def _refuse_beyond(self, q: np.ndarray) -> None:
-        beyond = self.beyond_limits(q)
-        excesses = [self.describe_excess(joint, q[joint], beyond[joint]) for joint in np.flatnonzero(beyond).tolist()]
-        if excesses:
-            raise RobotRefusedError(
-                f"the line is out of reach: {'; '.join(excesses)}; move the robot's base or the line"
-            )
+        if text := self.excesses(q):
+            raise RobotRefusedError(f"the line is out of reach: {text}; move the robot's base or the line")
 
 
 def _direction(entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:

@@ -106,23 +106,27 @@ def pause_depth(depth_mm: float, limits: Limits) -> float:
 @dataclass(frozen=True, eq=False)
 class PoseAtImage:
     """Encoder readings for one image: joints `q` (n,) read at `read_s`, image acquired at `imaged_s`, in seconds of the
-    same clock."""
+    same clock. `stated` (6, 6): covariance of the flange's pose where `q` is made from it, a twist in flange
+    coordinates, rad and mm."""
 
     q: np.ndarray
     read_s: float
     imaged_s: float
+    stated: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
     """Pose of the frame at the images. `T_mcs_cfcs`: from the mean joints `q` (n,) of all images, which hardly differ;
-    `of_view`: from each view's own joints; `imaged_s`: time of the last image."""
+    `of_view`: from each view's own joints; `imaged_s`: time of the last image; `stated`: as of `PoseAtImage`, the
+    largest."""
 
     robot: CalibratedRobot
     q: np.ndarray
     T_mcs_cfcs: RigidTransform
     of_view: dict[str, RigidTransform]
     imaged_s: float
+    stated: np.ndarray | None = None
 
 
 def register(robot: CalibratedRobot, poses: Mapping[str, PoseAtImage]) -> Registration:
@@ -151,7 +155,8 @@ def register(robot: CalibratedRobot, poses: Mapping[str, PoseAtImage]) -> Regist
                 f"{view} image the frame was {shift:.2f} mm and {np.rad2deg(rotation):.3f}° from its mean pose (at "
                 f"most {STILL_MM:g} mm and {np.rad2deg(STILL_RAD):.2f}°)"
             )
-    return Registration(robot, q, middle, of_view, max(pose.imaged_s for pose in poses.values()))
+    stated = max((pose.stated for pose in poses.values() if pose.stated is not None), key=np.trace, default=None)
+    return Registration(robot, q, middle, of_view, max(pose.imaged_s for pose in poses.values()), stated)
 
 
 def _refuse_unusable(robot: CalibratedRobot, view: str, pose: PoseAtImage) -> None:
@@ -169,14 +174,10 @@ def _refuse_unusable(robot: CalibratedRobot, view: str, pose: PoseAtImage) -> No
             f"check that robot and images share a clock, and acquire the {view} image again: the robot's pose was read "
             f"{age_s:.2f} s from it (at most {FRESH_S:g} s)"
         )
-    beyond = manipulator.beyond_limits(pose.q)
-    if beyond.any():
-        joints = [
-            manipulator.describe_excess(j, pose.q[j], beyond[j], "is at") for j in np.flatnonzero(beyond).tolist()
-        ]
+    if text := manipulator.excesses(pose.q, "is at"):
         raise RobotRefusedError(
             "load this robot's calibration, or home the robot; then acquire both images again: at the "
-            f"{view} image {'; '.join(joints)}"
+            f"{view} image {text}"
         )
 
 
@@ -347,7 +348,7 @@ def robot_target(
         q = manipulator.inverse(entry, end, -standoff_mm, registration.q)
     to_mcs = np.kron(np.eye(2), registration.T_mcs_cfcs.rotation.as_matrix())
     budget = {source: to_mcs @ covariance @ to_mcs.T for source, covariance in budget_mm2.items()}
-    budget |= robot.wire_against_frame(registration.q, q, np.stack([entry, end]))
+    budget |= robot.wire_against_frame(registration.q, q, np.stack([entry, end]), registration.stated)
     budget["skiving"] = _skiving(entry, end)
     if not manipulator.has_feed:
         budget["sleeve"] = _sleeve(entry, end, standoff_mm, manipulator.guide_mm)
