@@ -15,6 +15,7 @@ from tests.worked import Worked
 from typer.testing import CliRunner
 
 from sightline.cli import commands
+from sightline.robot.kinematics.measured import RobotFile
 
 ROOT = Path(__file__).parents[1]
 PAGES = [
@@ -145,6 +146,18 @@ def test_the_quick_commands_of_a_page_run_one_after_another(name: str, place: Pa
             assert done.exit_code == 0, f"sightline {' '.join(words)}: {done.stderr}"
             ran += 1
     assert ran
+
+
+@pytest.mark.slow
+def test_samples_are_calibrated_as_on_the_page_of_a_robot(place: Path) -> None:
+    page = ROOT / "docs" / "real-robot.md"
+    for words in [*named_commands(page), *commands_in("\n".join(blocks(page, "sh")))]:
+        if words[:2] == ["robot", "calibrate"] and len(words) > 2:
+            done = CliRunner().invoke(commands, words)
+            assert done.exit_code == 0, f"sightline {' '.join(words)}: {done.stderr}"
+    six = RobotFile.read(place / "out" / "arm" / "robot.json")
+    assert RobotFile.read(place / "robot.json").frame != six.frame
+    assert len(six.manipulator.joints) == 6
 
 
 @pytest.mark.slow

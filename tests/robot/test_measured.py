@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from tests.robot.arms import SIX, as_mjcf, calibrated
 
 from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.rehearsal.arm_images import tracker_measurements
 from sightline.rehearsal.operation import calibrated_robot, true_manipulator
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.measured import Measurements, RobotFile
@@ -29,28 +30,14 @@ def true_robot(seed: int = 3) -> Manipulator:
 def measurements(true: Manipulator, seed: int = 4, **changed) -> dict:
     """What a person measures on it with a tracker of 0.03 mm."""
     rng = np.random.default_rng(seed)
-    q = rng.uniform(0.8 * true.lower, 0.8 * true.upper, (20, true.count))
-    places = np.array([[40.0, 10.0, -20.0], [-35.0, 25.0, 30.0], [5.0, -50.0, 60.0]])
-    targets = np.stack([true.T_mcs_flange(q).apply(place) for place in places], axis=1)
-    own = rng.uniform(-60.0, 60.0, (8, 3))
-    feed = np.array([0.0, 50.0, 110.0, 180.0, 240.0])
-    along = true.T_flange_tool.rotation.apply([0.0, 0.0, 1.0])
-    tips = true.T_flange_tool.translation + feed[:, None] * along
-
-    def noisy(points: np.ndarray) -> list:
-        return (points + SD * rng.standard_normal(points.shape)).tolist()
-
     said = {
         "schema": "sightline-robot-measurements/1",
         "robot_serial": "R-1",
         "frame_serial": "SN-7",
         "side": "right",
         "measured_on": datetime.now(UTC).isoformat(),
-        "axes": {"sd_mm": SD, "q": q.tolist(), "targets_mm": noisy(targets)},
-        "frame": {"sd_mm": SD, "own_mm": own.tolist(), "flange_mm": noisy(true.T_flange_cfcs.apply(own))},
-        "wire": {"sd_mm": SD, "feed_mm": feed.tolist(), "tip_flange_mm": noisy(tips)},
     }
-    return said | changed
+    return said | tracker_measurements(true, rng.uniform(-60.0, 60.0, (8, 3)), rng) | changed
 
 
 @pytest.fixture(scope="module")

@@ -210,7 +210,7 @@ def calibrate(
         ),
     ] = None,
     simulated: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Instead: write simulated images with their list to a folder.")
+        Path | None, typer.Option(metavar="FOLDER", help="Instead: write sample measurements and images to a folder.")
     ] = None,
     frame: Annotated[
         str | None,
@@ -235,12 +235,12 @@ def calibrate(
     if sum(given is not None for given in (measurements, from_images, simulated)) != 1:
         raise typer.BadParameter("give a file of measurements, --from-images or --simulated")
     if simulated is not None:
-        from sightline.rehearsal.arm_images import write_arm_images
+        from sightline.rehearsal.arm_images import write_samples
 
         with output.step("drawing images"):
-            listed = write_arm_images(simulated, _SAMPLE_SEED)
-        output.written([listed])
-        output.result({"file": str(listed)})
+            files = write_samples(simulated, _SAMPLE_SEED)
+        output.written(files)
+        output.result({"files": [str(file) for file in files]})
         return
     if from_images is not None:
         _calibrate_from_images(output, from_images, frame, out_file or Path("mount.json"))
