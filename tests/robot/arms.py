@@ -24,6 +24,12 @@ def calibrated(arm: Manipulator) -> CalibratedRobot:
     return CalibratedRobot.of(CalibratedAxes(arm, np.diag(sd**2), np.zeros((0, 0))), frame, guide)
 
 
+def longer(arm: Manipulator) -> Manipulator:
+    """The arm with its upper arm 5 mm longer, which lies along -x at home as that of SIX."""
+    beyond = np.tile([0.0, 0.0, 0.0, -5.0, 0.0, 0.0], (arm.count - 1, 1))
+    return arm.displaced(np.concatenate([np.zeros((2, 6)), beyond]))
+
+
 def as_mjcf(arm: Manipulator) -> str:
     """The arm's rotary axes as an MJCF file whose bodies all lie at the world's origin."""
     home = arm.T_mcs_flange_home

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import SEVEN, SIX, at_images, calibrated
+from arms import SEVEN, SIX, at_images, calibrated, longer
 from rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig, code, metadata, wire
+from scipy.spatial.transform import RigidTransform
 
 from sightline.common.checks import Limits
 from sightline.common.geometry.rigid import displacement
@@ -20,6 +21,7 @@ from sightline.robot.kinematics.calibrated import MACHINED_SD, calibrate_axes
 from sightline.robot.kinematics.designs import six_axis
 from sightline.robot.kinematics.manipulator import MIN_SINGULAR
 from sightline.robot.kinematics.model_file import read_arm
+from sightline.robot.kinematics.reach import Obstacle, Surroundings, check_reach
 from sightline.robot.kinematics.target import STANDOFF_MM, PlanIdentity, PoseAtImage, register, robot_target
 from sightline.robot.plant import PlantFlag, Reading
 
@@ -78,6 +80,51 @@ def test_axes_of_any_arm_are_calibrated_with_an_honest_error(arm):
         squares.append(error @ np.linalg.solve(design @ found.covariance @ design.T, error) / 3)
         assert np.linalg.norm(error) < 0.2
     assert 0.3 < np.mean(squares) < 2.2  # 36 correlated numbers
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        ("another arm", "against the model of the arm"),
+        ("degrees", r"joints in rad and mm, .* at pose 1 joint \d is at"),
+        ("order", "against the model of the arm|units and the order"),
+        ("one by 5°", "against the model of the arm"),
+    ],
+)
+def test_measurements_of_another_arm_or_other_joints_are_refused(spoil, said):
+    rng, places = np.random.default_rng(12), np.array([[80.0, 10.0, 60.0], [-60.0, 50.0, 20.0], [10.0, -70.0, 90.0]])
+    true = longer(SIX) if spoil == "another arm" else SIX
+    q = at_images(SIX) + rng.uniform(-0.5, 0.5, (20, 6))
+    measured = np.stack([true.T_mcs_flange(q).apply(place) for place in places], axis=1)
+    calibrate_axes(true, q, measured, 0.03)
+    if spoil == "degrees":
+        q = np.rad2deg(q)
+    elif spoil == "order":
+        q = q[:, [0, 2, 1, 3, 4, 5]]
+    elif spoil == "one by 5°":
+        q[7, 3] += np.deg2rad(5.0)
+    with pytest.raises(RobotRefusedError, match=said):
+        calibrate_axes(SIX, q, measured, 0.03)
+
+
+def test_poses_at_the_edge_of_the_workspace_are_refused():
+    """Stretched, where the arm is singular, and at a joint's limit."""
+    stretched = np.array([0.3, -0.6, 0.0, -0.4, 1.2, 0.2])
+    with pytest.raises(RobotRefusedError, match="singular on this line"):
+        SIX.follow_line(stretched, np.array([-300.0, 300.0]))
+    with pytest.raises(RobotRefusedError, match=r"joint 1 would go to 18\d\.\d°.* beyond its limit of 180\.0°"):
+        SIX.follow_line(at_images(SIX), np.arange(10.0, 800.0, 10.0))
+
+
+def test_a_guide_meets_the_table_and_may_touch_the_patient():
+    q = at_images(SIX)
+    at_mouth = SIX.T_mcs_tool(q) * RigidTransform.from_translation([0.0, 0.0, 12.0])
+    for name in ("table", "patient"):
+        around = Surroundings((Obstacle(name, at_mouth, np.array([8.0, 8.0, 2.0])),), frame_mounted=False)
+        found = check_reach(SIX, q[None], around)[1]
+        assert found.name == f"{name} clearance"
+        assert found.passed == (name == "patient")
+        assert found.sentence.startswith("The guide leaves 0 mm") == (name == "table")
 
 
 def test_the_target_of_an_arm_without_feed_states_sleeve_and_depth():
@@ -218,12 +265,15 @@ class FollowingArm:
         self._at, self._begun_s = self.q, 0.0
         self._followed: JointTrajectory | None = None
         self._waiting: list[tuple[float, JointTrajectory | None]] = []
+        self._past: list[Reading] = []
 
     def state(self) -> Reading:
         q = np.full(6, np.nan) if self.spoil == "NaN" else self.q.copy()
         if self.spoil == "fault":
             raise RobotRefusedError("joint 3: protective stop")
-        return Reading(0.0 if self.spoil == "frozen" else self.time_s, q, 0.0, PlantFlag.RUN_HELD)
+        self._past.append(Reading(0.0 if self.spoil == "frozen" else self.time_s, q, 0.0, PlantFlag.RUN_HELD))
+        old = [reading for reading in self._past if reading.time_s < self.time_s - 0.2]
+        return old[-1] if self.spoil == "late by 200 ms" and old else self._past[-1]
 
     def follow(self, trajectory: JointTrajectory) -> None:
         if self.spoil == "refuses":
@@ -240,6 +290,8 @@ class FollowingArm:
         self.time_s += dt_s
         while self._waiting and self._waiting[0][0] <= self.time_s:
             self._begun_s, self._followed = self._waiting.pop(0)
+        if self.spoil == "cut short":
+            self._followed = None
         if self.spoil == "drifts" and self._followed is None:
             self.q = self.q + dt_s * 6e-4  # 0.3 mm/s at half a metre, of each joint
         if self.spoil == "never stops":
@@ -249,6 +301,8 @@ class FollowingArm:
             at = np.array([np.interp(since, self._followed.time_s, joint) for joint in self._followed.positions.T])
             moved, self._at = at - self._at, at
             self.q = self.q + 0.5 * moved if self.spoil == "half speed" else at
+            if self.spoil == "overshoots":  # by 2 mm at the guide
+                self.q = at + 3.5e-3 * np.sign(moved)
 
 
 class Streamed(StreamedArm):
@@ -285,7 +339,10 @@ def test_an_arm_with_its_own_controller_comes_to_its_target():
         ("frozen", "no sample from the drives"),
         ("NaN", "gives no number"),
         ("fault", "protective stop"),
+        ("late by 200 ms", "from where it should be"),
         ("half speed", "from where it should be"),
+        ("cut short", "from where it should be"),
+        ("overshoots", "is 0.2.* from where it should be"),
         ("refuses", "outside its workspace"),
         ("never stops", "from where it should be|still move"),
     ],
@@ -294,6 +351,13 @@ def test_a_bad_arm_is_stopped_with_its_cause(spoil, said):
     rig, _ = streamed(spoil)
     rig.run_until(State.EMERGENCY, 10.0)
     assert re.search(said, fault(rig))
+
+
+def test_an_arm_that_acknowledges_a_stop_and_moves_on_is_a_fault():
+    rig, _ = streamed("never stops")
+    rig.command("STOP")
+    rig.run_until(State.EMERGENCY, 2.0)
+    assert "still move" in fault(rig)
 
 
 def test_a_guide_that_drifts_while_it_is_held_is_a_fault():

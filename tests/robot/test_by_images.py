@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.scenes.held import SD, c_arm, seen
 from scipy.spatial.transform import RigidTransform, Rotation
-from tests.robot.arms import SIX, at_images
+from tests.robot.arms import SIX, at_images, longer
 
 from sightline.common.checks import Limits
-from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.errors import CalibrationRefusedError, RobotRefusedError, UnusableInputError
+from sightline.from_images.arm import calibrated_on_arm
+from sightline.rehearsal.arm_images import BlockOnArm, sample_block
 from sightline.robot.kinematics.by_images import propose_poses, refuse_alike
 from sightline.robot.kinematics.calibrated import SOURCES
 from sightline.robot.kinematics.measured import FlangePose, Measurements, RobotFile
@@ -243,3 +246,15 @@ def test_an_arm_is_registered_as_it_was_calibrated(tmp_path):
     half = RigidTransform.from_translation([0.0, 0.01, 0.0]) * AT * MOUNT
     assert np.allclose(found.T_mcs_cfcs.translation, half.translation, atol=1e-4)
     assert np.allclose(found.stated, STATED)
+
+
+@pytest.mark.parametrize("spoil", ["another arm", "order"])
+def test_images_at_joints_of_another_arm_or_order_are_refused(tmp_path, spoil):
+    """The same images with the right joints are accepted: `test_held` has them."""
+    rng = np.random.default_rng(15)
+    held = BlockOnArm.draw(rng, sample_block())
+    images = seen(held, rng)
+    q = np.array([SIX.inverse_pose(pose * SIX.T_flange_tool, Q) for pose in held.stated])
+    wrong = longer(SIX).T_mcs_flange(q) if spoil == "another arm" else SIX.T_mcs_flange(q[:, [0, 1, 2, 4, 3, 5]])
+    with pytest.raises(CalibrationRefusedError, match=r"contradict the others.*by the model of this arm"):
+        calibrated_on_arm(images, sample_block(), wrong, SD, c_arm(held))

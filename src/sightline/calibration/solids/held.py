@@ -259,8 +259,8 @@ class _Kept:
             raise CalibrationRefusedError(
                 f"{len(self.bad)} of {count} images contradict the others ({', '.join(self.bad)}; at most "
                 f"{MAX_BAD_SHARE:.0%}). Check that block and C-arm did not move, that each pose is that of its image "
-                "and of the flange in the base in mm, that the frame file is that of the block, and how accurate the "
-                "arm is stated to be"
+                "and of the flange in the base in mm, by the model of this arm, that the frame file is that of the "
+                "block, and how accurate the arm is stated to be"
             )
 
     def drop_ball(self, image: int, ball: int, limit: int) -> None:

@@ -327,7 +327,8 @@ def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarr
             break
     else:
         raise RobotRefusedError("the calibration of the axes does not converge; check the units and the order of poses")
-    refuse_unlikely((residual**2).sum() + ((known * twists) ** 2).sum(), 3 * n * m - 3 * m, "the measured targets")
+    what = "the measured targets, against the model of the arm that is named,"
+    refuse_unlikely((residual**2).sum() + ((known * twists) ** 2).sum(), 3 * n * m - 3 * m, what)
     covariance = np.linalg.inv(whole.T @ whole)[: len(known), : len(known)]
     covariance = (covariance + covariance.T) / 2  # of many axes rounding leaves 1e-9 of it
     return CalibratedAxes(now, covariance, sd_mm * np.linalg.norm(residual, axis=-1))

@@ -1,7 +1,7 @@
 """Collision check of a path before motion: joint limits and clearances along straight lines in joint space.
 
-The robot is modelled by capsules, its surroundings by boxes; distances between them are exact. Wire and guide are left
-out: they are meant to touch the patient.
+The robot is modelled by capsules, its surroundings by boxes; distances between them are exact. The wire is left out,
+and the guide of the patient alone: they are meant to touch the patient.
 """
 
 from collections.abc import Iterable, Sequence
@@ -46,6 +46,7 @@ class Surroundings:
 # Rims of the Γ frame's plates, CFCS: distance from the hip, half-edge; half their thickness (docs/frame-file.md).
 PLATES_MM = ((150.0, 64.0), (300.0, 74.0))
 PLATE_RADIUS_MM = 4.0
+GUIDE_RADIUS_MM = 10.0  # [ours] of a guide's tube
 # Typical surroundings [ours]. Corners of boxes about the hip's centre, CFCS (lateral, caudal or cranial, anterior), low
 # and high: the patient, lateral of the incision's bottom some 35 mm on the bone; a table 500 mm wide, the hip 90 mm
 # beside its middle. The detector's housing: its face 380 mm from the hip (1000 mm from a source at 620), edge 300 mm,
@@ -53,6 +54,7 @@ PLATE_RADIUS_MM = 4.0
 PATIENT_MM = ((-300.0, -900.0, -115.0), (70.0, 900.0, 100.0))
 TABLE_MM = ((-340.0, -1000.0, -175.0), (160.0, 1000.0, -115.0))
 DETECTOR_FACE_MM, DETECTOR_HALF_MM = 380.0, (150.0, 150.0, 175.0)
+PATIENT, GUIDE = "patient", "guide"
 SWING_RAD = np.deg2rad(np.arange(0.0, 90.1, 7.5))  # from the PA to the lateral view
 
 
@@ -66,7 +68,7 @@ def hip_surroundings(
     poses = [RigidTransform.from_components(swing.apply(centre_mm), swing) for swing in swings]
     return Surroundings(
         (
-            _box("patient", T_mcs_cfcs, *PATIENT_MM),
+            _box(PATIENT, T_mcs_cfcs, *PATIENT_MM),
             _box("table", T_mcs_cfcs, *TABLE_MM),
             *(Obstacle("C-arm", T_mcs_cfcs * pose, np.array(DETECTOR_HALF_MM)) for pose in poses if c_arm),
         ),
@@ -81,7 +83,7 @@ def check_reach(robot: Manipulator, waypoints: np.ndarray, surroundings: Surroun
     waypoints = np.asarray(waypoints, dtype=np.float64)
     if waypoints.ndim != 2 or waypoints.shape[1] != robot.count or not np.isfinite(waypoints).all():
         raise UnusableInputError(f"a path is one or more positions of {robot.count} finite joints")
-    capsules = [*robot.parts, *(frame_capsules(robot) if surroundings.frame_mounted else ())]
+    capsules = [*robot.parts, *guide_capsules(robot), *(frame_capsules(robot) if surroundings.frame_mounted else ())]
     path = between(robot, waypoints, capsules)
     names = dict.fromkeys(obstacle.name for obstacle in surroundings.obstacles)
     axes = part_axes(robot, path, capsules)
@@ -140,6 +142,13 @@ def frame_capsules(robot: Manipulator) -> Iterable[Capsule]:
                 yield Capsule("frame", robot.arm_joints, on_flange[[first, second]], PLATE_RADIUS_MM)
 
 
+def guide_capsules(robot: Manipulator) -> Iterable[Capsule]:
+    """Yield the capsule of a guide, where the arm holds one."""
+    if robot.guide_mm:
+        ends = robot.T_flange_tool.apply([[0.0, 0.0, -robot.guide_mm], [0.0, 0.0, 0.0]])
+        yield Capsule(GUIDE, robot.arm_joints, ends, GUIDE_RADIUS_MM)
+
+
 def _limits(robot: Manipulator, path: np.ndarray) -> Check:
     beyond = robot.beyond_limits(path)
     worst = [int(np.argmax(np.abs(column))) for column in beyond.T]
@@ -154,6 +163,8 @@ def _limits(robot: Manipulator, path: np.ndarray) -> Check:
 
 
 def _clearance(obstacle: str, boxes: list[Obstacle], parts: list[Capsule], lines: np.ndarray) -> Check:
+    judged = [k for k, part in enumerate(parts) if (obstacle, part.name) != (PATIENT, GUIDE)]
+    parts, lines = [parts[k] for k in judged], lines[:, judged]
     radius = np.array([part.radius_mm for part in parts])
     left = np.full(lines.shape[:2], np.inf)
     for box in boxes:
