@@ -96,8 +96,12 @@ def test_the_sample_images_give_the_mount(sample, tmp_path):
 @pytest.mark.slow
 def test_bad_images_are_named_and_a_knock_writes_nothing(sample, tmp_path):
     document = json.loads((sample / "images.json").read_text())
-    for image in document["images"]:
+    stated = ArmImages.read(sample / "images.json").poses_in(sample)
+    del document["arm"]
+    for image, pose in zip(document["images"], stated, strict=True):
         shutil.copy(sample / image["file"], tmp_path)
+        del image["q"]
+        image["T_base_flange"] = pose.as_matrix().tolist()
     shutil.copy(sample / "block.json", tmp_path)
     poses = [image["T_base_flange"] for image in document["images"]]
     poses[2], poses[7] = poses[7], poses[2]
@@ -114,6 +118,7 @@ def test_bad_images_are_named_and_a_knock_writes_nothing(sample, tmp_path):
     found = json.loads(out.read_text())
     assert {name for name, image in found["images"].items() if not image["used"]} == {"image-03.dcm", "image-08.dcm"}
     assert list(found["unseen"]) == ["empty.npy"]
+    assert found["joints"] is None
     out.unlink()
     for image in document["images"][9:]:
         image["T_base_flange"][2][3] += 1.0
