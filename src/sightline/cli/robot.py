@@ -228,10 +228,6 @@ def calibrate(
     From measurements of axes, frame and wire comes the robot file that register and drive need; from images of a block
     on the flange its place there, with its error.
     """
-    from sightline.errors import RobotRefusedError
-    from sightline.frame import Frame
-    from sightline.robot.kinematics.measured import Measurements, RobotFile, SeenWirePart
-
     if sum(given is not None for given in (measurements, from_images, simulated)) != 1:
         raise typer.BadParameter("give a file of measurements, --from-images or --simulated")
     if simulated is not None:
@@ -246,8 +242,15 @@ def calibrate(
         _calibrate_from_images(output, from_images, frame, out_file or Path("mount.json"))
         return
     assert measurements is not None  # noqa: S101 - one of the three is given
+    _calibrate_from_measurements(output, measurements, frame, out_file or Path("robot.json"))
+
+
+def _calibrate_from_measurements(output: Output, measurements: Path, frame: str | None, out_file: Path) -> None:
+    from sightline.errors import RobotRefusedError
+    from sightline.frame import Frame
+    from sightline.robot.kinematics.measured import Measurements, RobotFile, SeenWirePart
+
     measured, known = Measurements.read(measurements), None if frame is None else Frame.load(frame)
-    out_file = out_file or Path("robot.json")
     folder, plan, seen = measurements.parent, None, None
     if isinstance(measured.wire, SeenWirePart):
         plan = read_plan(folder / measured.wire.plan)
