@@ -6,6 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from pydicom import dcmread
+from pydicom.uid import UID, XRayAngiographicImageStorage, XRayRadiationDoseSRStorage
 
 from sightline.case.acquire import Acquirer, News
 from sightline.case.acquire.folder import GIVE_UP_S, SETTLED_S, Folder
@@ -61,6 +63,30 @@ def test_every_image_of_a_folder_is_taken_and_the_rest_is_told_of(watched: Watch
     assert watched.case.problems == ()
     assert "Doe" not in watched.texts()
     assert "half" not in watched.texts()
+    assert watched.watch.unusable == 2  # half.dcm and empty.dcm
+
+
+@pytest.mark.parametrize(
+    ("sop_class", "kept_bytes", "unusable"),
+    [(XRayAngiographicImageStorage, 900, 1), (XRayRadiationDoseSRStorage, None, 0), (None, 900, 1)],
+)
+def test_a_broken_image_is_unusable_and_a_dose_report_is_not(
+    watched: Watched, sop_class: UID | None, kept_bytes: int | None, unusable: int
+) -> None:
+    """The broken image has lost its size, so that by its header it is not an image either; at last it is removed."""
+    file = write_dicom(image(1), watched.folder / "IM1")
+    held = dcmread(file)
+    held.file_meta.MediaStorageSOPClassUID = held.SOPClassUID = sop_class or UID("1.2.840.99999.1")
+    for name in ("Rows", "Columns", "PixelData"):
+        delattr(held, name)
+    held.save_as(file)
+    file.write_bytes(file.read_bytes()[:kept_bytes])
+    watched.watch.take_all()
+    assert [news.kind for news in watched.news] == ["refused"]
+    assert watched.watch.unusable == unusable
+    file.unlink()
+    watched.watch.take_all()
+    assert watched.watch.unusable == 0
 
 
 def test_a_file_is_taken_once_it_has_settled(watched: Watched) -> None:

@@ -57,6 +57,10 @@ def test_a_folder_goes_into_a_new_case_and_again_into_the_same(run, tmp_path: Pa
     assert ran.code == 0
     assert ran.out.count("came again") == 3
     assert "file 4 (1 bytes)" in ran.err
+    (tmp_path / "in" / "bad.png").write_bytes(b"x")
+    ran = run("acquire", "folder", tmp_path / "in", "--case", tmp_path / "case")
+    assert ran.code == 2
+    assert "cannot be used: 1" in ran.err
     with Case.open(tmp_path / "case") as case:
         assert len(case.entries()) == 3
         assert case.problems == ()

@@ -51,7 +51,8 @@ def folder(
 ) -> None:
     """Acquire the images of a folder.
 
-    Each image is taken once; with --watch also images that are written later.
+    Each image is taken once; with --watch also images that are written later. Other files are reported; exit code 2
+    where one of them has the name or content of an image.
     """
     if into.robot and not watch:
         raise typer.BadParameter(
@@ -68,8 +69,8 @@ def folder(
             desk.until_interrupted(lambda: files.scan(time.monotonic()), SCAN_S)
         else:
             files.take_all()
-        output.result({**desk.document(), "waiting": files.waiting})
-        desk.end()
+        output.result({**desk.document(), "waiting": files.waiting, "unusable": files.unusable})
+        desk.end(files.unusable)
 
 
 @command(app, "dicom", "sightline acquire dicom --peer CARM@192.168.1.20 --case out/case")
@@ -242,9 +243,11 @@ class _Desk:
             "refused": list(self._refused),
         }
 
-    def end(self) -> None:
-        """End with exit code 2 if something was refused and nothing was acquired."""
-        if self._refused and not self._entries and not self._already:
+    def end(self, unusable: int) -> None:
+        """End with exit code 2 for `unusable` images, or if something was refused and nothing was acquired."""
+        if unusable:
+            self._output.note(f"image files that cannot be used: {unusable}; export them again")
+        if unusable or (self._refused and not self._entries and not self._already):
             raise typer.Exit(2)
 
 

@@ -247,6 +247,16 @@ def _header(file: Path) -> dict[str, Any]:
         raise damaged(file.name) from None
 
 
+def claims_image(file: Path) -> bool:
+    """Return whether a DICOM file's class is that of an image, or is unknown; not of an index or a dose report."""
+    try:
+        with quiet():
+            keyword = UID(read_file_meta_info(file).get("MediaStorageSOPClassUID", "")).keyword
+    except Exception:  # as in `_header`
+        return True
+    return keyword == "" or "ImageStorage" in keyword
+
+
 def _whole(header: dict[str, Any], keyword: str, name: str) -> int:
     """Return a whole number; 0 where the element is absent or empty. Raises ImageError."""
     try:

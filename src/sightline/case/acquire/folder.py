@@ -9,7 +9,8 @@ from pathlib import Path
 from sightline.case.acquire.acquirer import Acquirer, News, Tell, news_of
 from sightline.common.bounded import MAX_FILE_BYTES, regular_file
 from sightline.errors import CaseError, ImageError, UnusableInputError
-from sightline.imaging.formats import FORMAT_NAMES, format_of
+from sightline.imaging.dicom import claims_image
+from sightline.imaging.formats import FORMAT_NAMES, SUFFIXES, ReadBy, format_of
 
 SETTLED_S = 1.0  # [ours] a file is read once unchanged for this time: network folders write in bursts
 GIVE_UP_S = 30 * SETTLED_S  # an incomplete file is refused once unchanged for this time
@@ -20,7 +21,7 @@ SCAN_S = 0.5  # between two scans
 class _File:
     """A file: its size and modification time, since when they are unchanged (monotonic s), and whether it is done.
 
-    `told`: it was reported as waiting.
+    `told`: it was reported as waiting. `unusable`: it claims to be an image and was refused.
     """
 
     number: int
@@ -28,6 +29,7 @@ class _File:
     since_s: float
     done: bool = False
     told: bool = False
+    unusable: bool = False
 
 
 def check_folder(folder: Path) -> None:
@@ -71,6 +73,11 @@ class Folder:
         """The number of files that were neither acquired nor refused."""
         return sum(not file.done for file in self._files.values())
 
+    @property
+    def unusable(self) -> int:
+        """The number of refused files that claim to be images, by content or name."""
+        return sum(file.unusable for file in self._files.values())
+
     def _pending(self, now_s: float) -> Iterator[tuple[Path, _File]]:
         """Scan the folder; yield the files that are not done."""
         there = set()
@@ -83,11 +90,12 @@ class Folder:
                 self._files[path] = file = _File(file.number, stamp, now_s)
             if not file.done:
                 yield path, file
-        for path, file in self._files.items():
-            file.done |= path not in there
+        for path in self._files.keys() - there:
+            self._files[path].done, self._files[path].unusable = True, False
 
     def _take(self, path: Path, file: _File, *, final: bool) -> None:
         """Acquire a file. If `final`, report what is wrong with it; otherwise it may still be incomplete."""
+        claims = path.suffix.lower() in SUFFIXES
         try:
             data = _read(path)
             if _stamp(path) != file.stamp:
@@ -95,10 +103,12 @@ class Folder:
             known = format_of(data)
             if known is None:
                 raise ImageError(f"it is not a {FORMAT_NAMES} file")
+            claims = known.reader is not ReadBy.DICOM or claims_image(path)
             news = news_of(self._acquirer.take(data, known.suffixes[0], how={"source": "folder"}))
         except (ImageError, OSError) as error:
             if final:
                 file.done = True
+                file.unusable = claims
                 why = error.strerror if isinstance(error, OSError) else error
                 self._tell(News("refused", f"file {file.number} ({file.stamp[0]} bytes): {why}"))
             return
