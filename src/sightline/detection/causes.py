@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import cv2
 import numpy as np
@@ -11,8 +12,14 @@ from sightline.detection.results import RejectedCandidate
 from sightline.imaging import Radiograph
 from sightline.imaging.defects import MAX_CLIPPED, clipped_share, torn
 
-NO_RIM = "no rim"  # start of this reason
-TOO_SMALL = "its radius is below 2 px"
+
+class SpotFault(StrEnum):
+    """Reasons of rejected candidates by which the cause is found; they are saved as these texts."""
+
+    NO_RIM = "no rim: it fades out like anatomy, not like a bead"
+    TOO_SMALL = "its radius is below 2 px"
+
+
 # Radius of beads that are hard to fit: half of the promised ones above 2 px are lost in compression [ours].
 _FEW_PX = 3.0
 # Spots for a statement about the image, or for a direction of motion, which fewer show by chance; and at most, which
@@ -56,14 +63,16 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCa
     tear = torn(image)
     if tear is not None:
         return tear.sentence
-    soft = sum(candidate.reason.startswith(NO_RIM) for candidate in rejected)
+    soft = sum(candidate.reason == SpotFault.NO_RIM for candidate in rejected)
     if soft >= max(_MIN_SPOTS, len(beads) / 2):
         return f"the image is blurred: {soft} spots fade out without a rim, {len(beads)} have one; focus, or hold still"
     return None
 
 
 def _too_small(beads: np.ndarray, rejected: Sequence[RejectedCandidate]) -> str | None:
-    small = np.count_nonzero(beads[:, 2] < _FEW_PX) + sum(candidate.reason == TOO_SMALL for candidate in rejected)
+    small = np.count_nonzero(beads[:, 2] < _FEW_PX) + sum(
+        candidate.reason == SpotFault.TOO_SMALL for candidate in rejected
+    )
     if small < max(_MIN_SPOTS, len(beads) / 2):
         return None
     return (

@@ -19,7 +19,7 @@ from sightline.detection.beads.bead import (
 )
 from sightline.detection.beads.candidates import distinct, find_candidates
 from sightline.detection.beads.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
-from sightline.detection.causes import NO_RIM, TOO_SMALL, cause_of
+from sightline.detection.causes import SpotFault, cause_of
 from sightline.detection.log_image import field_and_logs, in_discs
 from sightline.detection.results import FACTOR, Detections, RejectedCandidate, finer, is_fine
 from sightline.errors import DetectionRefusedError
@@ -177,8 +177,8 @@ def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     excess, weakest = limits
     reason[fit["excess"] > excess] = "not a disc: the fit's residual is too large for its contrast"
     reason[fit["weakest"] < weakest] = _NOT_ROUND
-    reason[fit["blur_px"] > _MAX_BLUR * size + 0.1] = f"{NO_RIM}: it fades out like anatomy, not like a bead"
-    reason[size < _MIN_RADIUS_PX] = TOO_SMALL
+    reason[fit["blur_px"] > _MAX_BLUR * size + 0.1] = SpotFault.NO_RIM
+    reason[size < _MIN_RADIUS_PX] = SpotFault.TOO_SMALL
     reason[size > _MAX_RADIUS_PX] = "much larger than most beads"
     for status, why in _FIT_REASONS.items():
         reason[fit["status"] == status] = why
