@@ -68,18 +68,23 @@ def test_stated_covariance_holds_where_half_a_bead_is_hidden() -> None:
     assert 0.9 < np.mean(residual) < 1.15  # 0.02; 0.08 for the noise estimate
 
 
-def test_beads_that_touch_are_fitted_together() -> None:
+@pytest.mark.parametrize(
+    ("radius", "depth", "level", "scatter"), [(9.3, 3.0, 120.0, 0.4), (12.7, 1.8, 120.0, 0.4), (9.3, 1.8, 480.0, 1.0)]
+)
+def test_beads_that_touch_are_fitted_together(radius: float, depth: float, level: float, scatter: float) -> None:
+    """Also where the neighbour absorbs another share of the light."""
     rng = np.random.default_rng(22)
     chi2 = []
     for _ in range(4):
         places = grid(62, SIZE, rng)
         angle = rng.uniform(0, 2 * np.pi, len(places))
-        reach = rng.uniform(15.0, 18.0, len(places))
+        reach = radius - 9.3 + rng.uniform(15.0, 18.0, len(places))
         beads = [Bead(u, v, 8.0) for u, v in places]
         beads += [
-            Bead(u + r * np.cos(a), v + r * np.sin(a), 9.3) for (u, v), r, a in zip(places, reach, angle, strict=True)
+            Bead(u + r * np.cos(a), v + r * np.sin(a), radius, depth)
+            for (u, v), r, a in zip(places, reach, angle, strict=True)
         ]
-        chi2 += list(normalised(*errors(beads, answers(beads, np.full((SIZE, SIZE), 120.0), rng))))
+        chi2 += list(normalised(*errors(beads, answers(beads, np.full((SIZE, SIZE), level), rng, scatter))))
     assert 0.7 < np.mean(chi2) < 1.3
 
 

@@ -43,6 +43,7 @@ CHANGES = {
     "at the place of a known one hides no more of a wire than that one; "
     "a surround of any grey level lies outside the field, and areas of one level do not count as noise; "
     "a view is checked for an earlier frame that shines through, and for a blur of one direction",
+    19: "of beads that are fitted together each stops its own share of the light",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

@@ -14,6 +14,7 @@ from sightline.detection.beads.shadow import (
     BEAD_BLUR,
     BEAD_DIAGONAL,
     BEAD_LARGE,
+    BEAD_LIGHT,
     BEAD_RADIUS,
     BEAD_TERMS,
     BEAD_X,
@@ -70,6 +71,8 @@ _MAX_SLOPE = 0.1
 _MIN_CUBIC = 0.005  # smallest cubic terms that the covariance allows for [ours]
 # S.d. of the background's level, slopes and quadratic terms; they matter where the background is clipped [ours].
 _BACKGROUND_SD = np.array([1.0, 0.5, 0.5, 0.3, 0.3, 0.3])
+# S.d. of BEAD_LIGHT: beam hardening and scatter change with a ball's size, so that two balls stop unlike shares [ours].
+_LIGHT_SD = 0.05
 CLIPPING_MARGIN_SD = 2.0  # of the noise, below the brightest value: 98 % of the pixels counted are not clipped [calc]
 SUSPICIOUS_EXCESS = 0.05  # residual beyond noise over contrast: isolated beads have 0.00-0.04 [twin]
 _MIN_RIM_SHARE = 0.7  # share of the rim that metal must leave: the straight sides of a wire look like short arcs [ours]
@@ -208,7 +211,7 @@ def _fit(scene, spots, rows, prior_sd, window, result):  # noqa: PLR0917 - a ker
     at, where, counting = gather_pixels(window.state, filtered, values, x0, y0, window.reach)
     beads, scatter, background = initial_values(spots, rows, used.blur2_px2)
     model = WindowModel(table, at, beads, scatter, background, np.float32(1.0 / window.reach), stopped)
-    size, pixels_held = BEAD_TERMS * len(rows) + SCATTER_TERMS + BACKGROUND_TERMS, at.shape[1]
+    size, pixels_held = (BEAD_TERMS + 1) * len(rows) - 1 + SCATTER_TERMS + BACKGROUND_TERMS, at.shape[1]
     columns, inverse_sd = np.empty((size + 3, pixels_held), np.float32), np.empty(pixels_held, np.float32)
     derivatives = Derivatives(
         columns, np.empty((4, pixels_held), np.float32), np.empty((len(rows), pixels_held), np.float32)
@@ -269,8 +272,8 @@ def _write(own, model, result):
 
 @kernel()
 def initial_values(spots, rows, blur2):
-    """Return initial beads (K, BEAD_LARGE + 1), relative to the first one's place, scatter and background."""
-    own, beads = spots[rows[0]], np.zeros((len(rows), BEAD_LARGE + 1))
+    """Return initial beads (K, BEAD_LIGHT + 1), relative to the first one's place, scatter and background."""
+    own, beads = spots[rows[0]], np.zeros((len(rows), BEAD_LIGHT + 1))
     for k in range(len(rows)):
         bead, row = spots[rows[k]], beads[k]
         row[BEAD_X], row[BEAD_Y], row[BEAD_RADIUS] = bead.u_px - own.u_px, bead.v_px - own.v_px, bead.radius_px
@@ -305,8 +308,8 @@ def weigh(light, counting, brightest, unit, inverse_sds, inverse_sd):  # noqa: P
 def add_priors(model, initial, rows, prior_sd, prior, A, b):  # noqa: PLR0917
     """Add the priors to the normal equations `A`, `b` and fill `prior` with their precisions (1 / s.d.²).
 
-    Cubic terms are near zero; a bead's centre, shape and blur are near their initial values; scatter
-    slopes follow the background's. Returns the coupling: expected scatter slope over background slope.
+    Cubic terms and the light of neighbours are near zero; a bead's centre, shape and blur are near their initial
+    values; scatter slopes follow the background's. Returns the coupling: expected scatter slope over background slope.
     """
     beads, scatter, background = model.beads, model.scatter, model.background
     prior[:] = 0.0
@@ -315,7 +318,11 @@ def add_priors(model, initial, rows, prior_sd, prior, A, b):  # noqa: PLR0917
             sd = prior_sd[min(k, 1), rows[k], m] * (abs(initial[k, m]) if BEAD_RADIUS <= m < BEAD_AXIAL else 1.0)
             prior[BEAD_TERMS * k + m] = 1.0 / sd**2
             b[BEAD_TERMS * k + m] += (initial[k, m] - beads[k, m]) / sd**2
-    at, to, slope = BEAD_TERMS * len(beads) + 1, len(b) - BACKGROUND_TERMS + 1, np.hypot(background[1], background[2])
+    for k in range(1, len(beads)):
+        prior[BEAD_TERMS * len(beads) + k - 1] = 1.0 / _LIGHT_SD**2
+        b[BEAD_TERMS * len(beads) + k - 1] -= beads[k, BEAD_LIGHT] / _LIGHT_SD**2
+    to, slope = len(b) - BACKGROUND_TERMS + 1, np.hypot(background[1], background[2])
+    at = to - SCATTER_TERMS
     share = scatter[0] * min(1.0, _MAX_SLOPE / max(slope, 1e-9))
     coupling, sd2 = _COUPLING * share, (_COUPLING_SD * share * slope) ** 2 + (_UNCOUPLED_SD * scatter[0]) ** 2 + 1e-6
     for m in range(SCATTER_TERMS - 1):
@@ -356,7 +363,9 @@ def _take_step(beads, scatter, background, step, share):
         )
         for m in range(BEAD_AXIAL, BEAD_TERMS):
             beads[k, m] = min(max(beads[k, m] + step[at + m], -0.3), 0.3)
-    at = BEAD_TERMS * len(beads)
+    for k in range(1, len(beads)):
+        beads[k, BEAD_LIGHT] = min(max(beads[k, BEAD_LIGHT] + step[BEAD_TERMS * len(beads) + k - 1], -0.3), 0.3)
+    at = (BEAD_TERMS + 1) * len(beads) - 1
     for m in range(SCATTER_TERMS):
         scatter[m] += min(max(step[at + m], -0.5), 0.5)
     for m in range(BACKGROUND_TERMS):

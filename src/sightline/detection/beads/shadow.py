@@ -68,10 +68,12 @@ def _transformed(at: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> np.n
 # Parameters of a bead's shadow: centre about the first guess and radius, px; blur, px; ellipticity along the axes and
 # along the diagonals.
 BEAD_X, BEAD_Y, BEAD_RADIUS, BEAD_BLUR, BEAD_AXIAL, BEAD_DIAGONAL = range(6)
-# After them, not fitted: the share of a large ball's profile in the shadow's, the rest is a small one's.
-BEAD_LARGE = 6
-# Numbers of parameters: of a bead; of the scatter (light behind the beads that they do not stop, or that bright holes
-# add: level and slopes, shared by all beads of a window); of the background, of which the last four are cubic terms.
+# After them: the share of a large ball's profile in the shadow's, the rest is a small one's (not fitted); the light
+# that a neighbour lets through beyond what the first bead does.
+BEAD_LARGE, BEAD_LIGHT = 6, 7
+# Numbers of parameters: of a bead (then comes BEAD_LIGHT of each neighbour); of the scatter (light behind the beads
+# that they do not stop, or that bright holes add: level and slopes, shared by all beads of a window); of the
+# background, of which the last four are cubic terms.
 BEAD_TERMS, SCATTER_TERMS, BACKGROUND_TERMS, CUBIC_TERMS = 6, 3, 10, 4
 # After the derivatives, `columns` holds the residual, the model's light and the background.
 RESIDUAL, LIGHT, BACKGROUND = -3, -2, -1
@@ -103,8 +105,8 @@ class WindowModel(NamedTuple):
 class Derivatives(NamedTuple):
     """What a model gives at N pixels: `columns`, the derivatives by all parameters, residual, light and background.
 
-    `columns` (BEAD_TERMS K + SCATTER_TERMS + BACKGROUND_TERMS + 3, N); `behind` (4, N): see LEFT; `effect` (K, N):
-    derivative of the light by each bead's share.
+    `columns` ((BEAD_TERMS + 1) K - 1 + SCATTER_TERMS + BACKGROUND_TERMS + 3, N); `behind` (4, N): see LEFT; `effect`
+    (K, N): derivative of the light by each bead's share.
     """
 
     columns: np.ndarray
@@ -179,11 +181,12 @@ def _shadow(row, at, bead, by_parameters, slopes):
 def fill_light(model, shared, derivatives):
     """Fill `columns` with the residual, the model's light and the background, and with what `fill_slopes` needs.
 
-    Of `columns`, the first BEAD_TERMS K rows receive the derivatives of each bead's share. `shared`: the squared blur
-    that background and shadow went through together.
+    Of `columns`, the first BEAD_TERMS K rows receive the derivatives of each bead's share, the next K - 1 those of the
+    light by BEAD_LIGHT. `shared`: the squared blur that background and shadow went through together.
 
     Without blur, the light is G W + s (1 - V): background G, scatter s, shares W and V that the beads leave of each.
-    Blur over a slope of G moves the rim: to first order by blur² grad G grad W.
+    Each neighbour adds its share times BEAD_LIGHT. Blur over a slope of G moves the rim: to first order by
+    blur² grad G grad W.
     """
     tables, at, beads, scatter, background, scale, stopped = model
     columns, behind, effect = derivatives
@@ -233,6 +236,19 @@ def fill_light(model, shared, derivatives):
             (s0 + s1 * a + s2 * b) * (unity - clear[n]) + bright[n] * left[n] + by_a * left_x[n] + by_b * left_y[n]
         )
         rest[n] = at[2, n] - light[n]
+    for k in range(1, count):
+        _add_light(beads[k], slopes[k, 0], columns[BEAD_TERMS * count + k - 1], effect[k], light, rest)
+
+
+@kernel()
+def _add_light(bead, share, by_light, effect, light, rest):  # noqa: PLR0917 - a kernel
+    """Add BEAD_LIGHT of a neighbour with a `share` (N,) to light and residual; fill the derivative `by_light` (N,)."""
+    own = np.float32(bead[BEAD_LIGHT])
+    for n in range(len(share)):
+        by_light[n] = share[n]
+        effect[n] += own
+        light[n] += own * share[n]
+        rest[n] -= own * share[n]
 
 
 @kernel()
@@ -242,7 +258,7 @@ def fill_slopes(at, scale, inverse_sd, derivatives):
     `derivatives` come from `fill_light`.
     """
     columns, behind, effect = derivatives
-    first, pixels = BEAD_TERMS * len(effect), at.shape[1]
+    lights, first, pixels = BEAD_TERMS * len(effect), (BEAD_TERMS + 1) * len(effect) - 1, at.shape[1]
     unity, two, three = np.float32(1.0), np.float32(2.0), np.float32(3.0)
     for k in range(len(effect)):
         for n in range(pixels):
@@ -250,6 +266,9 @@ def fill_slopes(at, scale, inverse_sd, derivatives):
         for m in range(BEAD_TERMS * k, BEAD_TERMS * k + BEAD_TERMS):
             for n in range(pixels):
                 columns[m, n] *= effect[k, n]
+    for m in range(lights, first):
+        for n in range(pixels):
+            columns[m, n] *= inverse_sd[n]
     scatter, rest = columns[first : first + SCATTER_TERMS], columns[RESIDUAL]
     for n in range(pixels):
         stopped = inverse_sd[n] * (unity - behind[CLEAR, n])
