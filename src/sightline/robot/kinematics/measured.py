@@ -339,8 +339,8 @@ class RobotFile(_Part):
 
         Raises UnusableInputError, and RobotRefusedError for measurements that contradict each other."""
         arm, more = arm_of(measurements.arm, measurements.side, folder), {}
-        said, balls = measurements.axes, measurements.frame
-        if said is None and isinstance(balls, MountPart):
+        measured_axes, balls = measurements.axes, measurements.frame
+        if measured_axes is None and isinstance(balls, MountPart):
             mounted = MountFile.read(folder / balls.mount)
             axes, frame = mounted.axes(arm), mounted.mount(measurements)
             more = {
@@ -349,8 +349,8 @@ class RobotFile(_Part):
                 "pose_sd": mounted.pose_sd.twist.tolist(),
                 "by_pose": mounted.joints is None,
             }
-        elif said is not None and isinstance(balls, FramePart):
-            axes = calibrate_axes(arm, even(said.q), even(said.targets_mm), said.sd_mm)
+        elif measured_axes is not None and isinstance(balls, FramePart):
+            axes = calibrate_axes(arm, even(measured_axes.q), even(measured_axes.targets_mm), measured_axes.sd_mm)
             frame = measured_mount(np.array(balls.own_mm), np.array(balls.flange_mm), balls.sd_mm)
         else:
             raise UnusableInputError(
@@ -545,13 +545,13 @@ def arm_of(arm: Design | ModelPart, side: str, folder: Path) -> Manipulator:
     return arm.manipulator(folder) if isinstance(arm, ModelPart) else DESIGNS[arm](side)
 
 
-def _wire(said: WirePart | SeenWirePart, seen: tuple[np.ndarray, np.ndarray] | None) -> Mount:
+def _wire(part: WirePart | SeenWirePart, seen: tuple[np.ndarray, np.ndarray] | None) -> Mount:
     """Return the wire on the flange as measured, or on the frame as images show it."""
-    if isinstance(said, WirePart):
-        return measured_axis(np.array(said.feed_mm), np.array(said.tip_flange_mm), said.sd_mm)
+    if isinstance(part, WirePart):
+        return measured_axis(np.array(part.feed_mm), np.array(part.tip_flange_mm), part.sd_mm)
     if seen is None:
-        raise UnusableInputError(f"the wire's points are in {said.plan}: read it")
-    return seen_axis(*seen, said.feed_mm, said.sd_mm)
+        raise UnusableInputError(f"the wire's points are in {part.plan}: read it")
+    return seen_axis(*seen, part.feed_mm, part.sd_mm)
 
 
 def _utc(time: datetime) -> datetime:
