@@ -41,8 +41,9 @@ demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo
 test: $(TOOLS) $(KERNELS)  ## the whole suite: about five minutes on two cores
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations=10
 
-slow: $(TOOLS) $(KERNELS)  ## what is too slow for `make test`
+slow: $(TOOLS) $(KERNELS)  ## what is too slow for `make test`; on Linux with ROS 2
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n auto --dist loadfile --no-loadscope-reorder --durations=10
+	test "$$(uname)" != Linux || $(MAKE) ros2
 
 # ROS 2 restarts each Python that it is installed for, so it has an environment of its own, which sees the other.
 ros2: $(VENV)/.ros2  ## the tests against ROS 2 (262 MB, Linux)

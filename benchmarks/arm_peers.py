@@ -10,10 +10,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Thread
 from typing import Any
 from unittest.mock import patch
 
@@ -22,38 +24,49 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.harness import Rows
 from sightline.errors import RobotRefusedError
-from sightline.robot.arms.adapter import ArmAdapter, JointTrajectory
+from sightline.rehearsal.operation import calibrated_robot, start_of
+from sightline.robot.arms.adapter import ArmAdapter
+from sightline.robot.arms.connect import connect
+from sightline.robot.arms.streamed import StreamedArm
+from sightline.robot.control.controller import Controller
+from sightline.robot.control.insertion import Setup
+from sightline.robot.control.states import State
+from sightline.robot.kinematics.target import STANDOFF_MM
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.server import RobotServer, Simulation
+from sightline.robot.plant import WATCHDOG_S
 
 ROS2 = find_spec("rclpy") is not None
 FRANKA = find_spec("franky") is not None and find_spec("franky_sim") is not None
 NAMESPACE = "sightline_test"
 ROOT = Path(__file__).parents[1]
 PATIENCE_S = 60.0  # a program that does not answer for so long has hung
-POLL_S = 0.004  # between two calls of `state`, as in the control loop
-STIFF = 0.4  # share of franky-sim's damping: a lag of 40 ms
+POLL_S = 0.004  # between two cycles, as of the control loop
+GAIN_PER_S = 10.0  # of what a joint is short of its course, as in the control loop
 REACHED = 1e-4  # rad, mm: a fifth of what is asked of the guide at 0.1 m
 FIRST_SEED = 81_000
+LATE_S = 0.1  # the limit of sightline.robot.arms.ros2
 LOWER, UPPER = np.array([*[-2 * np.pi] * 6, 0.0]), np.array([*[2 * np.pi] * 6, 200.0])  # of the controller; rad, mm
 ROTARY = np.array([True] * 6 + [False])
 FAULTS = ("killed", "silent", "late", "frozen", "nan", "degrees", "renamed", "fewer")
+ENTRY_MM, END_MM = np.array([35.0, 31.0, -4.0]), np.array([7.7, 2.3, 1.1])  # CFCS: a wire in a hip
 
 
-def smooth(start: np.ndarray, end: np.ndarray, duration_s: float) -> JointTrajectory:
-    """Return a trajectory of five degrees from `start` to `end` (n,)."""
-    t = np.linspace(0.0, 1.0, 1 + round(duration_s / 0.02))
-    share, pace = t**3 * (10 - 15 * t + 6 * t**2), 30 * t**2 * (1 - t) ** 2 / duration_s
-    return JointTrajectory(duration_s * t, start + share[:, None] * (end - start), pace[:, None] * (end - start))
-
-
-def wait(arm: ArmAdapter, seconds: float, until: Any = lambda reading: False) -> bool:
-    """Read an arm until `until` its reading, or for some seconds of its own clock; return whether it was."""
-    begun_s = (reading := arm.state()).time_s
-    while reading.time_s < begun_s + seconds:
-        if until(reading):
-            return True
+def stream(arm: ArmAdapter, end: np.ndarray, duration_s: float) -> np.ndarray:
+    """Bring an arm to `end` (n,) as the control loop does; return what it is short of it."""
+    plant, begin, begun_s = StreamedArm(arm), arm.state().encoders, time.monotonic()
+    while True:
+        reading, since_s = plant.read(), time.monotonic() - begun_s
+        if reading.fault:
+            raise RobotRefusedError(reading.fault)
+        t = min(since_s / duration_s, 1.0)
+        share, pace = t**3 * (10 - 15 * t + 6 * t**2), 30 * t**2 * (1 - t) ** 2 / duration_s
+        short = end - reading.encoders
+        if since_s > duration_s + 2.0 or (t == 1 and np.abs(short).max() < REACHED / 2):
+            plant.hold()
+            return short
+        plant.command(pace * (end - begin) + GAIN_PER_S * (begin + share * (end - begin) - reading.encoders), False)
         time.sleep(POLL_S)
-        reading = arm.state()
-    return False
 
 
 @contextmanager
@@ -74,6 +87,82 @@ def ended(process: Any) -> dict[str, Any]:
     return {key: np.array(values) for key, values in json.loads(out.splitlines()[-1]).items()}
 
 
+class Linked:
+    """An arm behind the robot's link, and a client whose target it has not got yet. `in_step`: the loop waits for the
+    arm's own clock."""
+
+    def __init__(self, kind: Any, address: str, design: Any, *, in_step: bool) -> None:
+        self.robot = calibrated_robot(arm=design)
+        self.home = start_of(self.robot.manipulator, "right")
+        self._closing = connect(kind, address, self.robot.manipulator, self.home)
+        self.arm = self._closing.thing
+        self._at_s = self.arm.state().time_s
+        plant = StreamedArm(self.arm, lambda: self._at_s) if in_step else StreamedArm(self.arm)
+        setup = Setup("right", "SN-7", frame_mounted=False, into_bone=False, c_arm_away=True)
+        controller = Controller(self.robot, plant, setup)
+        self.machine = controller.machine
+        self.server = RobotServer(controller, plant, Simulation(self._wait, virtual=True) if in_step else None, port=0)
+
+    def __enter__(self) -> "Linked":
+        self._closing.__enter__()
+        self.server.__enter__()
+        self.client = RobotClient(port=self.server.port)
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.client.close()
+        self.server.close()
+        self._closing.__exit__(*error)
+
+    def _wait(self, dt_s: float) -> None:
+        due_s = self._at_s + dt_s
+        with suppress(RobotRefusedError):  # the machine hears of it
+            while (at_s := self.arm.state().time_s) < due_s - 1e-9:
+                time.sleep(POLL_S / 8)
+            self._at_s = due_s if at_s < due_s + 0.01 else at_s  # it went on while the loop stood
+
+    def aim(self, by_mm: np.ndarray) -> None:
+        """Send a target that is shifted by (2, 3), CFCS."""
+        self.entry_mm, end = ENTRY_MM + by_mm[0], END_MM + by_mm[1]
+        self.along = (end - self.entry_mm) / np.linalg.norm(end - self.entry_mm)
+        x = np.cross([0.0, 0.0, 1.0], self.along)
+        x /= np.linalg.norm(x)
+        axes = np.stack([x, np.cross(self.along, x), self.along], axis=1)
+        self.client.start_up()
+        self.client.calibrate(self.robot.manipulator.T_mcs_cfcs(self.home))
+        # A bare target is that of a wire of 95 mm.
+        self.entry_mm = end - 95.0 * self.along
+        self.client.aim(RigidTransform.from_components(end, Rotation.from_matrix(axes)))
+
+    def off(self, T_mcs_flange: RigidTransform) -> tuple[float, float]:
+        """Return how far the guide's mouth is from where it should be, mm, and its direction, degrees."""
+        held = self.robot.manipulator.T_mcs_cfcs(self.home).inv() * T_mcs_flange * self.robot.manipulator.T_flange_tool
+        along = held.rotation.apply([0.0, 0.0, 1.0])
+        mouth = self.entry_mm - STANDOFF_MM * self.along
+        angle = np.arctan2(np.linalg.norm(np.cross(along, self.along)), along @ self.along)
+        return float(np.linalg.norm(held.translation - mouth)), float(np.rad2deg(angle))
+
+    def moving(self, act: Any, past_s: float = 1.0) -> str:
+        """Align, `act` when the arm has moved for some seconds of its own clock, and return why it came no further."""
+        said: list[str] = []
+
+        def align() -> None:
+            try:
+                self.client.align()
+            except RobotRefusedError as error:
+                said.append(str(error))
+
+        thread = Thread(target=align)
+        thread.start()
+        begun_s = self.arm.state().time_s
+        while self.machine.state is not State.ALIGN or self.arm.state().time_s < begun_s + past_s:
+            assert thread.is_alive(), said
+            time.sleep(POLL_S)
+        act()
+        thread.join(PATIENCE_S)
+        return said[0] if said else ""
+
+
 # A controller of ROS 2.
 
 
@@ -83,11 +172,8 @@ def ros2_arm() -> Iterator[Any]:
     from benchmarks.ros2_controller import JOINTS
     from sightline.robot.arms.ros2 import Ros2Arm
 
-    arm = Ros2Arm(NAMESPACE, JOINTS, LOWER, UPPER, ROTARY)
-    try:
+    with closing(Ros2Arm(NAMESPACE, JOINTS, LOWER, UPPER, ROTARY)) as arm:
         yield arm
-    finally:
-        arm.close()
 
 
 def ros2_local() -> None:
@@ -95,9 +181,29 @@ def ros2_local() -> None:
     os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
 
 
-def patient() -> Any:
-    """Let samples be late: on a busy machine another process may stand still for longer than the adapter waits."""
-    return patch.multiple("sightline.robot.arms.ros2", LATE_S=PATIENCE_S, MISSED=10_000)
+@contextmanager
+def patient(late_s: float = PATIENCE_S, watchdog_s: float = PATIENCE_S) -> Iterator[None]:
+    """Let samples and cycles be late, and joints off their course: on a busy machine a process may stand still for
+    longer than the robot waits."""
+    limits = {"arms.ros2.LATE_S": late_s, "control.machine.WATCHDOG_S": watchdog_s}
+    limits |= {"arms.adapter.START_RAD": 0.2, "control.course.MOVING_LIMIT_RAD": 0.2}
+    with ExitStack() as stack:
+        for name, value in limits.items():
+            stack.enter_context(patch(f"sightline.robot.{name}", value))
+        yield
+
+
+@contextmanager
+def ros2_linked() -> Iterator[tuple[Any, Linked]]:
+    """Serve a six-axis arm of a controller in another process, whose program is given too."""
+    home = calibrated_robot(arm="six-axis").manipulator
+    joints = dict(zip(home.joints, start_of(home, "right").tolist(), strict=True))
+    with (
+        program("ros2_controller", NAMESPACE, json.dumps(joints)) as (process, _),
+        Linked("ros2", NAMESPACE, "six-axis", in_step=False) as linked,
+    ):
+        linked.aim(np.zeros((2, 3)))
+        yield process, linked
 
 
 def ros2_follow(count: int) -> tuple[np.ndarray, dict[str, Any]]:
@@ -108,10 +214,7 @@ def ros2_follow(count: int) -> tuple[np.ndarray, dict[str, Any]]:
             home = arm.state().encoders
             for _ in range(count):
                 end = home + rng.uniform(-0.3, 0.3, 7) * np.where(ROTARY, 1.0, 100.0)
-                duration_s = rng.uniform(0.4, 0.8)
-                arm.follow(smooth(arm.state().encoders, end, duration_s))
-                wait(arm, duration_s + 2.0, lambda reading, end=end: np.abs(reading.encoders - end).max() < REACHED)
-                errors.append(arm.state().encoders - end)
+                errors.append(stream(arm, end, rng.uniform(2.2, 3.0)))
         return np.array(errors), ended(process)
 
 
@@ -125,23 +228,21 @@ class Fault:
 
 
 def ros2_fault(fault: str) -> Fault:
-    """Let a fault happen while the arm moves."""
-    with program("ros2_controller", NAMESPACE) as (process, _), ros2_arm() as arm:
-        with patient():
-            q = arm.state().encoders
-            arm.follow(smooth(q, q + np.where(ROTARY, 0.5, 50.0), 3.0))
-            wait(arm, 1.0)
-        if fault == "killed":
-            process.kill()
-        else:
-            process.stdin.write(fault + "\n")
-            process.stdin.flush()
-        text = ""
-        try:
-            with nullcontext() if fault in ("killed", "silent", "late", "frozen") else patient():
-                wait(arm, 1.0)
-        except RobotRefusedError as error:
-            text = str(error)
+    """Let a fault happen while an arm moves that is served."""
+    with ExitStack() as stack:
+        stack.enter_context(patient())
+        process, linked = stack.enter_context(ros2_linked())
+
+        def begin() -> None:
+            if fault in ("killed", "silent", "late", "frozen"):
+                stack.enter_context(patient(LATE_S, WATCHDOG_S))
+            if fault == "killed":
+                process.kill()
+            else:
+                process.stdin.write(fault + "\n")
+                process.stdin.flush()
+
+        text = linked.moving(begin)
         if fault == "killed":
             return Fault(text, *_restarted())
         time.sleep(1.0)
@@ -158,8 +259,8 @@ def _restarted() -> tuple[float, float]:
 
 
 def _moved(log: dict[str, Any], since_s: float) -> tuple[float, float]:
-    """Return for how long after a time, and how far, rad or dm, the joints moved."""
-    times, q = log["time_s"], log["q"] * np.where(ROTARY, 1.0, 10.0)
+    """Return for how long after a time, and how far, the joints moved, rad."""
+    times, q = log["time_s"], log["q"]
     after = times >= since_s
     speed = np.abs(np.diff(q, axis=0)).max(axis=1) / np.diff(times)
     moving = times[1:][after[1:] & (speed > 1e-3)]
@@ -181,21 +282,8 @@ def ros2_commander() -> float:
 # franky-sim.
 
 
-@contextmanager
-def franka_arm(damping: float = 1.0) -> Iterator[tuple[Any, Any]]:
-    """Run franky-sim and connect to it; give the arm and the simulator's process."""
-    from sightline.robot.arms.franka import FrankaArm
-
-    with program("franka_simulator", str(damping)) as (process, host):
-        arm = FrankaArm(host)
-        try:
-            yield arm, process
-        finally:
-            arm.close()
-
-
-def flange(q: np.ndarray) -> RigidTransform:
-    """Return the poses of the flange at q (N, 7) by franky-sim's model, mm."""
+def fr3_flange(q: np.ndarray) -> RigidTransform:
+    """Return the poses of the flange at q (N, 7) by franky-sim's model, mm; its x and y axes are not turned as ours."""
     import franky_sim
     import pinocchio as pin
 
@@ -209,36 +297,47 @@ def flange(q: np.ndarray) -> RigidTransform:
     return RigidTransform.from_components(1000 * pose[:, :3, 3], Rotation.from_matrix(pose[:, :3, :3]))
 
 
-def franka_follow(count: int, damping: float = 1.0) -> np.ndarray:
-    """Return the errors (count, 2) of the flange by the arm's own state at the ends of trajectories, mm and degrees."""
+@contextmanager
+def franka_linked() -> Iterator[tuple[Any, Linked]]:
+    """Serve franky-sim's arm; its program is given too."""
+    home = start_of(calibrated_robot(arm="seven-axis").manipulator, "right").tolist()
+    with (
+        program("franka_simulator", json.dumps(home)) as (process, host),
+        Linked("franka", host, "seven-axis", in_step=True) as linked,
+    ):
+        yield process, linked
+
+
+def franka_align(count: int) -> np.ndarray:
+    """Return the errors (count, 2) of the guide by the arm's own state and franky-sim's model, mm and degrees, where
+    plans bring it."""
     rng, errors = np.random.default_rng(FIRST_SEED), []
-    with franka_arm(damping) as (arm, _):
-        home = arm.state().encoders
+    with franka_linked() as (_, linked):
         for _ in range(count):
-            end = home + rng.uniform(-0.3, 0.3, 7)
-            arm.follow(smooth(arm.state().encoders, end, 2.0))
-            wait(arm, 2.0)
-            wait(arm, 8.0, lambda reading, end=end: np.abs(reading.encoders - end).max() < REACHED)
-            wait(arm, 1.0)
-            pose = flange(np.array([arm.state().encoders, end]))
-            off = pose[0].inv() * pose[1]
-            errors.append((np.linalg.norm(np.ptp(pose.translation, axis=0)), np.rad2deg(off.rotation.magnitude())))
+            linked.aim(rng.uniform(-8.0, 8.0, (2, 3)))
+            linked.client.align()
+            begun_s = linked.arm.state().time_s
+            while linked.arm.state().time_s < begun_s + 1.0:
+                time.sleep(POLL_S)
+            errors.append(linked.off(fr3_flange(linked.arm.state().encoders[None])[0]))
+            linked.client.retract()
     return np.array(errors)
 
 
 @dataclass(frozen=True)
 class Stop:
-    """After what time, ms, a motion is no longer commanded, and the flange has 5 % of its speed; its way, mm."""
+    """After what time, ms, a motion is no longer commanded, and the guide has 5 % of its speed; its way, mm."""
 
     command_ms: float
-    flange_ms: float
+    guide_ms: float
     way_mm: float
 
 
-def franka_stop(how: str, damping: float = 1.0) -> Stop:
-    """End a motion by "stop", "hold" or "killed"."""
+def franka_stop(how: str) -> Stop:
+    """End a motion: "STOP" by a client, or "killed", the program that serves the arm."""
+    home = start_of(calibrated_robot(arm="seven-axis").manipulator, "right").tolist()
     with (
-        program("franka_simulator", str(damping)) as (simulator, host),
+        program("franka_simulator", json.dumps(home)) as (simulator, host),
         program("arm_peers", host, how) as (commander, now),
     ):
         ended_s = float(now)
@@ -247,7 +346,7 @@ def franka_stop(how: str, damping: float = 1.0) -> Stop:
             ended_s = time.time()
         time.sleep(5.0)
         log = ended(simulator)
-    at = flange(log["q"]).translation
+    at = fr3_flange(log["q"]).translation
     begun, window = int(np.searchsorted(log["time_s"], ended_s)), 10
     speed = np.linalg.norm(at[window:] - at[:-window], axis=1)
     fast = speed[begun:] > 0.05 * speed[begun - window]
@@ -262,22 +361,18 @@ def main(where: str, how: str = "") -> None:
     """Command a motion that is ended or outlived: `ros2`, or the address of a Franka arm and how to end it."""
     if where == "ros2":
         with ros2_arm() as arm:
-            q = arm.state().encoders
-            arm.follow(smooth(q, q + np.where(ROTARY, 0.5, 50.0), 3.0))
             print("moving", flush=True)
-            wait(arm, PATIENCE_S)
+            stream(arm, arm.state().encoders + np.where(ROTARY, 0.5, 50.0), 3.0)
         return
-    from sightline.robot.arms.franka import FrankaArm
+    with Linked("franka", where, "seven-axis", in_step=True) as linked:
 
-    arm = FrankaArm(where)
-    q = arm.state().encoders
-    arm.follow(smooth(q, q + 0.3, 3.0))
-    wait(arm, 1.5)
-    now = time.time()
-    if how != "killed":
-        getattr(arm, how)()
-    print(now, flush=True)
-    wait(arm, PATIENCE_S)
+        def stop() -> None:
+            print(time.time(), flush=True)
+            if how == "STOP":
+                linked.client.stop()
+
+        linked.aim(np.zeros((2, 3)))
+        linked.moving(stop)
 
 
 def rows(quick: bool) -> Rows:
@@ -291,23 +386,14 @@ def rows(quick: bool) -> Rows:
 
 def _franka_rows(found: Rows, quick: bool) -> None:
     count = 5 if quick else 50
-    errors = franka_follow(count)
-    found.number(
-        f"franky-sim, {count} trajectories: flange off its target by its own state",
-        errors[:, 0].max(),
-        unit="mm",
-        most=0.05,
-    )
-    found.number("franky-sim, direction off by its own state", errors[:, 1].max(), unit="°", most=0.02)
-    stops = {how: franka_stop(how) for how in ("stop", "hold", "killed")}
-    stiff = franka_stop("stop", STIFF)
-    found.number("franky-sim, STOP while moving: command ends", stops["stop"].command_ms, ".0f", "ms", most=100)
-    found.number("franky-sim, hold while moving: command ends", stops["hold"].command_ms, ".0f", "ms", most=100)
-    text = f"{stops['stop'].flange_ms:.0f} / {stiff.flange_ms:.0f} ms"
-    found.add("franky-sim, STOP while moving: flange at 5 % of its speed, servo of 100 / 40 ms lag", text)
-    found.number(
-        "franky-sim, our process killed: flange at 5 % of its speed", stops["killed"].flange_ms, ".0f", "ms", most=100
-    )
+    errors = franka_align(count)
+    add = partial(found.number, unit="mm", most=0.05)
+    add(f"franky-sim, {count} plans to ALIGNED: guide off its target by the arm's own state", errors[:, 0].max())
+    found.number("franky-sim, its direction", errors[:, 1].max(), unit="°", most=0.02)
+    for how, what in (("STOP", "STOP while moving"), ("killed", "our process killed")):
+        stop = franka_stop(how)
+        found.number(f"franky-sim, {what}: command ends", stop.command_ms, ".0f", "ms", most=100)
+        found.number(f"franky-sim, {what}: guide at 5 % of its speed", stop.guide_ms, ".0f", "ms", most=100)
 
 
 def _ros2_rows(found: Rows, quick: bool) -> None:

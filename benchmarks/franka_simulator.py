@@ -1,8 +1,8 @@
-"""A program that runs franky-sim, its damping times an argument: prints the arm's address, and at the end of its input
-a log of each simulated millisecond as JSON: the system's time, positions, and whether a motion is commanded.
+"""A program that runs franky-sim from the joints in its argument, as JSON: prints the arm's address, and at the end of
+its input a log of each simulated millisecond as JSON: the system's time, positions, and whether a motion is commanded.
 
-franky-sim's servo has a lag of 0.1 s, its damping over its stiffness. The damping of the last joint is too large for
-steps of 1 ms, so that the joint swings.
+The damping of franky-sim's last joint is too large for steps of 1 ms, so that the joint swings by 0.1 mrad: of DAMPING,
+the shares of it, the last leaves no swing.
 """
 
 import json
@@ -11,14 +11,17 @@ import sys
 import time
 from threading import Thread
 
+import numpy as np
 from franky_sim import SimulationServer
 from franky_sim.mujoco_simulator import MUJOCO_DEFAULT_KV, MujocoSimulator
+
+DAMPING = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.4)
 
 
 def main() -> None:
     log: list[tuple[float, list[float], bool]] = []
     with MujocoSimulator() as simulator:
-        robot = simulator.add_robot(kv=tuple(float(sys.argv[1]) * gain for gain in MUJOCO_DEFAULT_KV))
+        robot = simulator.add_robot(json.loads(sys.argv[1]), kv=tuple(np.multiply(DAMPING, MUJOCO_DEFAULT_KV)))
         with SimulationServer(simulator) as server:
 
             def listen() -> None:

@@ -1,10 +1,11 @@
-"""A program that behaves as a joint_trajectory_controller: `ros2_controller.py NAMESPACE`.
+"""A program that behaves as a joint_trajectory_controller: `ros2_controller.py NAMESPACE [JOINTS]`.
 
 As a controller of ros2_controllers with its defaults: a trajectory without a stamp begins at once, at the measured
 state, and replaces the one before; it refuses empty ones, other joints, times that do not increase and ends that move.
-The joints follow with a lag of 10 ms. A line on standard input is a fault to begin: `silent`, `late`,
-`frozen`, `nan`, `degrees`, `renamed`, `fewer`. At the end of the input its log is printed as JSON: positions, when a
-message came and when it would be at rest, and what was refused.
+The joints follow with a lag of 10 ms; a JSON object names them and says where they begin, rad and m. A line on standard
+input is a fault to begin: `silent`, `late`, `frozen`, `nan`, `degrees`, `renamed`, `fewer`. At the
+end of the input its log is printed as JSON: positions, when a message came and when it would be at rest, and what was
+refused.
 """
 
 import json
@@ -22,19 +23,21 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 # Six joints and a feed, as their file names them; what is published is in another order. SI units.
-JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3", "feed")
-HOME = np.array([0.3, -1.2, 1.4, -0.5, 0.8, 0.1, 0.05])
+HOME = {"shoulder_pan": 0.3, "shoulder_lift": -1.2, "elbow": 1.4, "wrist_1": -0.5, "wrist_2": 0.8, "wrist_3": 0.1}
+HOME |= {"feed": 0.05}
+JOINTS = tuple(HOME)
 CYCLE_S, LAG_S, LATE_S = 0.01, 0.01, 0.2
 
 
 class Controller:
     """The controller and its arm."""
 
-    def __init__(self, namespace: str) -> None:
+    def __init__(self, namespace: str, home: dict[str, float]) -> None:
         rclpy.init()
+        self.joints, begin = tuple(home), np.array(list(home.values()))
         self.node, self.clock, self.fault = rclpy.create_node("controller"), Clock(), ""
-        self.q, self.v, self.at_s = HOME.copy(), np.zeros(len(JOINTS)), self.now_s
-        self.path: Any = CubicHermiteSpline([0.0, 1.0], [HOME, HOME], np.zeros((2, len(JOINTS))))
+        self.q, self.v, self.at_s = begin, np.zeros(len(begin)), self.now_s
+        self.path: Any = CubicHermiteSpline([0.0, 1.0], [begin, begin], np.zeros((2, len(begin))))
         self.begun_s = self.at_s
         self.states: deque[tuple[float, Any]] = deque()  # on their way
         self.commands: deque[tuple[float, Any]] = deque()
@@ -74,10 +77,10 @@ class Controller:
     def take(self, message: JointTrajectory, now_s: float) -> None:
         times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points])
         names = list(message.joint_names)
-        if sorted(names) != sorted(JOINTS) or len(times) == 0 or (np.diff(times, prepend=0.0) <= 0).any():
+        if sorted(names) != sorted(self.joints) or len(times) == 0 or (np.diff(times, prepend=0.0) <= 0).any():
             self.log["refused"].append("names or times")
             return
-        order = [names.index(joint) for joint in JOINTS]
+        order = [names.index(joint) for joint in self.joints]
         positions = np.array([p.positions for p in message.points])[:, order]
         velocities = np.array([p.velocities for p in message.points])[:, order]
         if velocities[-1].any() or not np.isfinite(positions).all():
@@ -91,7 +94,7 @@ class Controller:
         self.log["rests_s"].append(now_s + times[-1])
 
     def sample(self) -> JointState:
-        message = JointState(name=list(JOINTS[::-1]), position=self.q[::-1].tolist())
+        message = JointState(name=list(self.joints[::-1]), position=self.q[::-1].tolist())
         message.header.stamp = self.clock.now().to_msg()
         if self.fault == "frozen":
             message = self.states[-1][1] if self.states else self.frozen
@@ -108,7 +111,7 @@ class Controller:
 
 
 def main() -> None:
-    controller = Controller(sys.argv[1])
+    controller = Controller(sys.argv[1], json.loads(sys.argv[2]) if len(sys.argv) > 2 else HOME)
 
     def listen() -> None:
         for line in sys.stdin:

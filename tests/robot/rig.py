@@ -6,6 +6,7 @@ from contextlib import ExitStack, contextmanager
 from copy import deepcopy
 from dataclasses import replace
 from functools import cache
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -232,15 +233,21 @@ def code(said: list[Message], name: str | None = None) -> int | None:
 
 @contextmanager
 def served(
-    *, virtual: bool = False, ideal: bool = False, port: int = 0, key_switch: bool = False, halted: State | None = None
+    *,
+    virtual: bool = False,
+    ideal: bool = False,
+    port: int = 0,
+    key_switch: bool = False,
+    halted: State | None = None,
+    arm: tuple[CalibratedRobot, Any, Setup] | None = None,
 ) -> Iterator[RobotServer]:
     """The robot behind a port. On a busy machine an answer may take longer than a client waits; here it may. `ideal`:
-    an IdealPlant, in real time.
+    an IdealPlant, in real time. `arm`: another robot, its plant and set-up.
 
     `halted`: virtual time stands still in this state, in mid-motion, until a client says something; `mid_motion` waits
     for that."""
-    moved = IdealPlant() if virtual or ideal else plant()
-    controller = Controller(ROBOT, moved, SETUP, Panel(key_switch=key_switch))
+    robot, moved, setup = arm or (ROBOT, IdealPlant() if virtual or ideal else plant(), SETUP)
+    controller = Controller(robot, moved, setup, Panel(key_switch=key_switch))
     cycles = 0
 
     def advance(dt_s: float) -> None:

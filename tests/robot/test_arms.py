@@ -1,20 +1,17 @@
 """Arms of six and seven axes: kinematics against MuJoCo, the guide held while a person drills, model files."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import SEVEN, SIX, at_images, calibrated, longer
-from rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig, code, metadata, wire
+from rig import END_MM, ENTRY_MM, IdealPlant, Rig, code, metadata, wire
 from scipy.spatial.transform import RigidTransform
+from tests.robot.arms import ARM_SETUP, SEVEN, SIX, FollowingArm, Streamed, at_images, calibrated, longer
 
 from sightline.common.checks import Limits
 from sightline.common.geometry.rigid import displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot import contract
-from sightline.robot.arms.adapter import JointTrajectory
-from sightline.robot.arms.streamed import StreamedArm
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Transform
 from sightline.robot.kinematics.calibrated import MACHINED_SD, calibrate_axes
@@ -23,7 +20,7 @@ from sightline.robot.kinematics.manipulator import MIN_SINGULAR
 from sightline.robot.kinematics.model_file import read_arm
 from sightline.robot.kinematics.reach import Obstacle, Surroundings, check_reach
 from sightline.robot.kinematics.target import STANDOFF_MM, PlanIdentity, PoseAtImage, register, robot_target
-from sightline.robot.plant import PlantFlag, Reading
+from sightline.robot.plant import CYCLE_S
 
 
 @pytest.mark.parametrize("arm", [SIX, SEVEN, six_axis("left")])
@@ -146,8 +143,7 @@ def test_the_target_of_an_arm_without_feed_states_sleeve_and_depth():
 
 def rig_with(plant, q: np.ndarray) -> Rig:
     """A six-axis arm at the joints `q` (6,) that has its target, the C-arm drawn back."""
-    setup = replace(SETUP, frame_mounted=False, c_arm_away=True)
-    rig = Rig(moved=plant, setup=setup, robot=calibrated(SIX))
+    rig = Rig(moved=plant, setup=ARM_SETUP, robot=calibrated(SIX))
     for step in ("START_UP", "CALIBRATION"):
         rig.command(step)
     assert code(rig.send("CLB_1", Transform.of(SIX.T_mcs_cfcs(q).inv()))) == 1
@@ -254,68 +250,6 @@ def test_a_file_that_is_no_arm_is_refused(tmp_path, limits, flange, feed, said):
         read_arm(tmp_path / "arm.xml", flange, feed)
 
 
-class FollowingArm:
-    """An `ArmAdapter` that follows trajectories exactly, some time after they were sent; `spoil` makes it a bad one."""
-
-    LATE_S = 0.02
-
-    def __init__(self, q: np.ndarray, spoil: str = "") -> None:
-        self.time_s, self.q, self.spoil = 0.0, q.copy(), spoil
-        self.joints = SIX.joints
-        self._at, self._begun_s = self.q, 0.0
-        self._followed: JointTrajectory | None = None
-        self._waiting: list[tuple[float, JointTrajectory | None]] = []
-        self._past: list[Reading] = []
-
-    def state(self) -> Reading:
-        q = np.full(6, np.nan) if self.spoil == "NaN" else self.q.copy()
-        if self.spoil == "fault":
-            raise RobotRefusedError("joint 3: protective stop")
-        self._past.append(Reading(0.0 if self.spoil == "frozen" else self.time_s, q, 0.0, PlantFlag.RUN_HELD))
-        old = [reading for reading in self._past if reading.time_s < self.time_s - 0.2]
-        return old[-1] if self.spoil == "late by 200 ms" and old else self._past[-1]
-
-    def follow(self, trajectory: JointTrajectory) -> None:
-        if self.spoil == "refuses":
-            raise RobotRefusedError("the trajectory ends outside its workspace")
-        self._waiting.append((self.time_s + self.LATE_S, trajectory))
-
-    def hold(self) -> None:
-        if self.spoil != "never stops":
-            self._waiting.append((self.time_s + self.LATE_S, None))
-
-    stop = hold
-
-    def advance(self, dt_s: float) -> None:
-        self.time_s += dt_s
-        while self._waiting and self._waiting[0][0] <= self.time_s:
-            self._begun_s, self._followed = self._waiting.pop(0)
-        if self.spoil == "cut short":
-            self._followed = None
-        if self.spoil == "drifts" and self._followed is None:
-            self.q = self.q + dt_s * 6e-4  # 0.3 mm/s at half a metre, of each joint
-        if self.spoil == "never stops":
-            self.q = self.q + dt_s * 0.05
-        elif self._followed is not None:
-            since = self.time_s - self._begun_s
-            at = np.array([np.interp(since, self._followed.time_s, joint) for joint in self._followed.positions.T])
-            moved, self._at = at - self._at, at
-            self.q = self.q + 0.5 * moved if self.spoil == "half speed" else at
-            if self.spoil == "overshoots":  # by 2 mm at the guide
-                self.q = at + 3.5e-3 * np.sign(moved)
-
-
-class Streamed(StreamedArm):
-    """With the time of its arm."""
-
-    def __init__(self, arm: FollowingArm) -> None:
-        super().__init__(arm, lambda: arm.time_s)
-        self.arm = arm
-
-    def advance(self, dt_s: float) -> None:
-        self.arm.advance(dt_s)
-
-
 def streamed(spoil: str = "") -> tuple[Rig, FollowingArm]:
     """A six-axis arm behind a controller of its own, on its way to its target."""
     q = at_images(SIX)
@@ -371,8 +305,11 @@ def test_a_guide_that_drifts_while_it_is_held_is_a_fault():
 
 def test_an_arm_whose_commander_dies_is_at_rest_within_100_ms():
     _, arm = streamed()
-    arm.advance(FollowingArm.LATE_S + 0.1)  # nobody commands it any more
-    stood = arm.q
+    moving = arm.state().encoders
+    for _ in range(24):  # nobody commands it any more
+        arm.advance(CYCLE_S)
+    stood = arm.state().encoders
+    assert np.abs(stood - moving).max() > 0.01
     for _ in range(20):
         arm.advance(0.01)
-        assert np.abs(arm.q - stood).max() < 1e-12
+        assert np.abs(arm.state().encoders - stood).max() < 1e-12

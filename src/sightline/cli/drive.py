@@ -223,8 +223,8 @@ def _connected(
     if address is not None:
         return stack.enter_context(RobotClient(*parse_address(address))), simulator, None
     with output.step("starting a simulator"):
-        patient = simulator.patient(plan.side or "", plan.procedure)
-        theatre = simulator.in_air(plan.side or "") if patient is None else patient.theatre()
+        patient = simulator.patient(plan.side or "", plan.procedure, simulator.arm)
+        theatre = simulator.in_air(plan.side or "", simulator.arm) if patient is None else patient.theatre()
     server = stack.enter_context(theatre.server(virtual=True))
     robot = stack.enter_context(RobotClient(port=server.port))
     return robot, replace(simulator, frame_serial=theatre.setup.frame_serial), patient

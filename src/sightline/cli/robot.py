@@ -1,6 +1,8 @@
-"""`sightline robot serve | check | calibrate | register | reset`: a simulated robot, or one at an address."""
+"""`sightline robot serve | check | calibrate | register | reset`: a simulated robot, an arm, or one at an address."""
 
+import math
 import os
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from sightline.case.interop.plan_file import PlanFile
     from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.robot.control.insertion import Setup
     from sightline.robot.kinematics.measured import FlangePose, RobotFile
     from sightline.robot.kinematics.target import Registration
     from sightline.robot.link.server import RobotServer
@@ -30,10 +33,12 @@ _DRY_RUN = (
 )
 Address = Annotated[str, typer.Argument(metavar="HOST:PORT", help="Address of the robot.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Answer yes to every question; simulators only.")]
+Twin = Literal["manipulator", "six-axis", "seven-axis"]
+Controlled = Literal["sim", "franka", "ros2"]
 
 
 @dataclass(frozen=True)
-class Simulator:
+class Held:
     """What a simulated robot holds, and the patient beside it."""
 
     frame_serial: Annotated[
@@ -45,24 +50,20 @@ class Simulator:
         typer.Option(min=0, help="Rehearse on the patient of this seed, whose images `sightline demo` writes."),
     ] = None
     frame: FrameName = "gamma"
-    arm: Annotated[
-        Literal["manipulator", "six-axis", "seven-axis"],
-        typer.Option(help="The arm: ours feeds the wire, the others hold the guide while a person drills."),
-    ] = "manipulator"
 
-    def theatre(self, side: str, procedure: str) -> "SimulatedTheatre":
+    def theatre(self, side: str, procedure: str, arm: Twin) -> "SimulatedTheatre":
         """Return a robot in air, or at the rehearsed patient. Raises UnusableInputError, SetUpError."""
-        patient = self.patient(side, procedure)
-        return self.in_air(side) if patient is None else patient.theatre()
+        patient = self.patient(side, procedure, arm)
+        return self.in_air(side, arm) if patient is None else patient.theatre()
 
-    def in_air(self, side: str) -> "SimulatedTheatre":
+    def in_air(self, side: str, arm: Twin) -> "SimulatedTheatre":
         """Return a robot without a patient. Raises SetUpError."""
         from sightline.frame import Frame
         from sightline.rehearsal.operation import SimulatedTheatre
 
-        return SimulatedTheatre.in_air(side, self.frame_serial or SERIAL, Frame.load(self.frame), self.arm)
+        return SimulatedTheatre.in_air(side, self.frame_serial or SERIAL, Frame.load(self.frame), arm)
 
-    def patient(self, side: str, procedure: str) -> "Rehearsal | None":
+    def patient(self, side: str, procedure: str, arm: Twin) -> "Rehearsal | None":
         """Return the patient of a procedure's rehearsal; of a file of the user's, a hip screw's. None without one.
 
         Raises UnusableInputError, SetUpError.
@@ -82,33 +83,68 @@ class Simulator:
                 f"--rehearse simulates no robot for {procedure!r}, of which the plan is: leave it out"
             )
         known = procedure if procedure in (*AT_HIP, NAILED) else "hip-screw"
-        return Rehearsal.draw(self.rehearse, Frame.load(self.frame), side, known, self.arm)
+        return Rehearsal.draw(self.rehearse, Frame.load(self.frame), side, known, arm)
+
+
+@dataclass(frozen=True)
+class Simulator(Held):
+    """A simulated robot."""
+
+    arm: Annotated[
+        Twin, typer.Option(help="The arm: ours feeds the wire, the others hold the guide while a person drills.")
+    ] = "manipulator"
+
+
+@dataclass(frozen=True)
+class ServedArm:
+    """An arm: of a design, or that of a robot file, with a controller of its own."""
+
+    robot_file: Annotated[
+        Path | None, typer.Argument(help="Robot file of `sightline robot calibrate`, for --arm sim, franka and ros2.")
+    ] = None
+    address: Annotated[
+        str | None, typer.Argument(metavar="HOST|NAMESPACE", help="Where the arm of --arm franka or ros2 is.")
+    ] = None
+    arm: Annotated[
+        Literal[Twin, Controlled],
+        typer.Option(
+            help="A simulator (manipulator feeds the wire, six-axis and seven-axis hold the guide while a person "
+            "drills), or the arm of a robot file: sim does exactly what it is told; franka, ros2 are real."
+        ),
+    ] = "manipulator"
 
 
 @dataclass(frozen=True)
 class Listening:
-    """Where a simulated robot listens."""
+    """Where a robot listens, and to whom."""
 
     port: Annotated[int, typer.Option(help="Port to listen at; 0 takes a free one.")] = 18936
     host: Annotated[str, typer.Option(help="Address to listen at. Anyone who can reach it can move the robot.")] = (
         "127.0.0.1"
     )
+    dialect: Annotated[
+        Literal["sightline", "brp2013"],
+        typer.Option(help="brp2013: for clients that know only the convention of 2013."),
+    ] = "sightline"
 
 
-@command(app, "serve", "sightline robot serve --rehearse 9 --side right")
+@command(
+    app,
+    "serve",
+    "sightline robot serve --rehearse 9 --side right",
+    "sightline robot serve robot.json --arm franka 172.16.0.2",
+    "sightline robot serve robot.json --arm ros2 /ur5e",
+)
 def serve(
     output: Output,
     *,
+    served: ServedArm,
     listening: Listening,
-    simulator: Simulator,
+    held: Held,
     side: Annotated[Side, typer.Option(help="The patient's side.")] = "right",
     procedure: Annotated[
         Rehearsed, typer.Option(help="Procedure of the rehearsed patient: its images show the wires of this one.")
     ] = "hip-screw",
-    dialect: Annotated[
-        Literal["sightline", "brp2013"],
-        typer.Option(help="brp2013: for clients that know only the convention of 2013."),
-    ] = "sightline",
     virtual: Annotated[
         bool, typer.Option("--virtual", help="Run as fast as the machine computes, without regard to heartbeats.")
     ] = False,
@@ -120,17 +156,36 @@ def serve(
         ),
     ] = False,
 ) -> None:
-    """Run a simulated robot until Ctrl-C.
+    """Run a simulated robot, or a real arm behind the robot's link, until Ctrl-C.
 
-    Its wire moves in air, or with --rehearse in a simulated bone.
+    The simulated wire moves in air, or with --rehearse in a simulated bone. A real arm needs its robot file; a person
+    confirms the set-up, and the arm moves when a client of the link commands it.
     """
+    from sightline.errors import UnusableInputError
     from sightline.robot.link.outgoing import DIALECTS
     from sightline.robot.link.server import tune_process
 
-    theatre = simulator.theatre(side, procedure)
-    tune_process()
-    with theatre.server(host=listening.host, port=listening.port, virtual=virtual, dialect=DIALECTS[dialect]) as server:
-        output.say(f"the simulated robot listens at {listening.host}:{server.port}; stop with Ctrl-C")
+    with ExitStack() as stack:
+        if served.arm in ("sim", "franka", "ros2"):
+            if (side, procedure, virtual, held, listening.dialect) != (
+                "right",
+                "hip-screw",
+                False,
+                Held(),
+                "sightline",
+            ):
+                raise UnusableInputError(
+                    "the robot's file states side and frame; --procedure, --virtual and --dialect belong to simulators"
+                )
+            server = _arm_server(stack, served, served.arm, listening)
+        elif served.robot_file is not None:
+            raise UnusableInputError("a robot file needs --arm sim, franka or ros2")
+        else:
+            theatre, dialect = held.theatre(side, procedure, served.arm), DIALECTS[listening.dialect]
+            server = theatre.server(host=listening.host, port=listening.port, virtual=virtual, dialect=dialect)
+        tune_process()
+        stack.enter_context(server)
+        output.say(f"the robot ({served.arm}) listens at {listening.host}:{server.port}; stop with Ctrl-C")
         if attached:
             typer.echo(as_json({"port": server.port}))
             Thread(target=_close_with_stdin, args=(server,), name="stdin", daemon=True).start()
@@ -140,6 +195,66 @@ def serve(
             output.note("stopping")
         cycles = server.dialogue.cycles
     output.result({"port": server.port, "cycles": cycles.count, "late": cycles.missed, "worst_s": cycles.worst_s})
+
+
+def _arm_server(stack: ExitStack, served: ServedArm, arm: Controlled, listening: Listening) -> "RobotServer":
+    """Return the server, not yet listening, of an arm with a controller of its own, connected until the stack ends.
+
+    Raises RobotRefusedError, UnusableInputError."""
+    import time
+
+    from sightline.errors import UnusableInputError
+    from sightline.rehearsal.operation import start_of
+    from sightline.robot.arms.connect import connect
+    from sightline.robot.arms.streamed import StreamedArm
+    from sightline.robot.control.controller import Controller
+    from sightline.robot.kinematics.measured import RobotFile
+    from sightline.robot.link.server import RobotServer
+
+    if served.robot_file is None or (served.address is None) != (arm == "sim"):
+        at = {"sim": "", "franka": " HOST", "ros2": " NAMESPACE"}[arm]
+        raise UnusableInputError(f"give the robot's file: sightline robot serve robot.json --arm {arm}{at}")
+    known, address = RobotFile.read(served.robot_file), served.address or ""
+    known.refuse_old(time.time())
+    robot, setup = known.robot(), _confirmed(known, address or "the simulator")
+    start = start_of(robot.manipulator, known.side)
+    plant = StreamedArm(stack.enter_context(connect(arm, address, robot.manipulator, start)))
+    controller = Controller(robot, plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
+    return RobotServer(controller, plant, host=listening.host, port=listening.port)
+
+
+def _confirmed(known: "RobotFile", where: str) -> "Setup":
+    """Return the set-up that a person confirms. Raises RobotRefusedError where it is another."""
+    from sightline.errors import RobotRefusedError, UnusableInputError
+    from sightline.robot.control.insertion import Setup
+
+    question = (
+        f"Robot {known.robot_serial} at {where}: {known.side} side, frame {known.frame_serial} on its flange. Is that "
+        "so, is the stop button within reach, and is nobody near?"
+    )
+    if not typer.confirm(question, err=True):
+        raise RobotRefusedError("the set-up is not confirmed, so no arm is served")
+    mounted = typer.confirm("Does the frame stay on the flange while the arm moves? A block comes off.", err=True)
+    hip_mm = (0.0, 0.0, 0.0)
+    if not mounted:
+        said = typer.prompt("Where does the hip lie in the frame's coordinates, to 10 mm (x y z, mm)?", err=True)
+        try:
+            x, y, z = map(float, str(said).split())
+        except ValueError:
+            x = y = z = math.nan
+        if not math.isfinite(x + y + z):
+            raise UnusableInputError(f"{said!r} is not a place: give three numbers, as 0 77 -22")
+        hip_mm = (x, y, z)
+    away = typer.confirm("Is the C-arm drawn back before the arm moves?", err=True)
+    return Setup(
+        known.side,
+        known.frame_serial,
+        frame_mounted=mounted,
+        into_bone=False,  # a person drills
+        frame=known.frame,
+        hip_mm=hip_mm,
+        c_arm_away=away,
+    )
 
 
 _NOT_ASKED = 5  # exit code where a question could not be asked: neither kept nor violated

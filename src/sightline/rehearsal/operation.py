@@ -103,6 +103,15 @@ def joints_at_images(
     return robot.inverse_pose(ideal if moved is None else ideal * moved, posture + yaw_rad * np.eye(robot.count)[0])
 
 
+def start_of(robot: Manipulator, side: str) -> np.ndarray:
+    """Return the joints (n,) of an arm before the hip of `side`; for one without such a place the middle of its
+    range."""
+    try:
+        return joints_at_images(robot, imaging_yaw(side))
+    except (RobotRefusedError, KeyError):
+        return (robot.lower + robot.upper) / 2
+
+
 def shown_wire_mm(robot: Manipulator, imaged: np.ndarray, behind_mm: ArrayLike) -> np.ndarray:
     """Return the points (N, 3), CFCS, of the wire at the joints `imaged` (n,), `behind_mm` (N,) behind its tip."""
     along = -np.asarray(behind_mm)[:, None] * np.array([0.0, 0.0, 1.0])

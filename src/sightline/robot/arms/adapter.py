@@ -9,12 +9,17 @@ from scipy.interpolate import CubicHermiteSpline
 from sightline.errors import RobotRefusedError
 from sightline.robot.plant import Reading
 
+# A trajectory is sent every SEND_S, as ros2_control's servo does. None is longer than REST_S: an arm whose commander
+# dies is then at rest, without a watchdog of its own. HOLD_S: from the pace of a trajectory to rest [ours].
+SEND_S, REST_S, HOLD_S = 0.02, 0.1, 0.06
+
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
     """Joint `positions` (N, n) and `velocities` (N, n) at `time_s` (N,) after its start; rad or mm.
 
-    It begins at the arm's present position and velocity, and ends at rest. Between two samples the arm interpolates.
+    It begins at the arm's present position and velocity, and ends at rest within REST_S. Between two samples the arm
+    interpolates.
     """
 
     time_s: np.ndarray
@@ -24,7 +29,7 @@ class JointTrajectory:
 
 class ArmAdapter(Protocol):
     """An arm of n joints with a controller of its own. Every method returns at once; what the controller reports later
-    appears in `state`. If this process dies the arm must stop by itself within 100 ms."""
+    appears in `state`. If this process dies the arm ends the last trajectory, or stops earlier."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -40,10 +45,10 @@ class ArmAdapter(Protocol):
         """Begin a trajectory; it replaces any other. Raises RobotRefusedError if the controller refuses it."""
 
     def hold(self) -> None:
-        """Decelerate to rest and hold the position, stiff."""
+        """Decelerate to rest within REST_S and hold the position, stiff."""
 
-    def stop(self) -> None:
-        """Stop as fast as the arm can; nothing moves before the next `follow`."""
+    def close(self) -> None:
+        """Hold, and leave the arm's controller."""
 
 
 # [ours] How far from the arm's joints a trajectory may begin, rad and mm: servos lag. Twice what a moving joint may be
@@ -56,8 +61,8 @@ def checked(
 ) -> CubicHermiteSpline:
     """Return the positions (n,) over time of a trajectory for an arm at `q` (n,), and what is between its samples.
 
-    Raises RobotRefusedError unless it is finite, in order of time, begins at `q` and ends at rest. `rotary` (n,): which
-    joints rotate.
+    Raises RobotRefusedError unless it is finite, in order of time, begins at `q` and ends at rest within REST_S.
+    `rotary` (n,): which joints rotate.
     """
     time_s, positions, velocities = trajectory.time_s, trajectory.positions, trajectory.velocities
     shape = (len(time_s), len(joints))
@@ -67,8 +72,8 @@ def checked(
         raise RobotRefusedError("the trajectory has a time, position or velocity that is not a number")
     if time_s[0] != 0 or (np.diff(time_s) <= 0).any():
         raise RobotRefusedError("the times of the trajectory must begin at 0 and increase")
-    if np.abs(velocities[-1]).max() > 1e-9:  # rounding
-        raise RobotRefusedError("the trajectory must end at rest")
+    if np.abs(velocities[-1]).max() > 1e-9 or time_s[-1] > REST_S + 1e-9:  # rounding
+        raise RobotRefusedError(f"the trajectory must end at rest within {REST_S:g} s")
     off = np.abs(positions[0] - q) / np.where(rotary, START_RAD, START_MM)
     worst = int(off.argmax())
     if off[worst] > 1:

@@ -1,0 +1,43 @@
+"""An arm that does exactly what it is told: a rehearsal of the commands of a real one, without physics."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from sightline.robot.arms.adapter import HOLD_S, JointTrajectory, checked
+from sightline.robot.kinematics.manipulator import Manipulator
+from sightline.robot.plant import PlantFlag, Reading
+
+
+class SimulatedArm:
+    """The arm `robot` at the joints `q` (n,) at first. `clock`: in s."""
+
+    def __init__(self, robot: Manipulator, q: np.ndarray, clock: Callable[[], float] = time.monotonic) -> None:
+        self.joints, self._rotary, self._clock = robot.joints, robot.rotary, clock
+        self._begin(np.array([0.0, 1.0]), np.stack([q, q]), np.zeros((2, robot.count)))
+
+    def state(self) -> Reading:
+        """See ArmAdapter."""
+        now_s = self._clock()
+        return Reading(now_s, self._at(now_s), 0.0, PlantFlag.RUN_HELD)
+
+    def follow(self, trajectory: JointTrajectory) -> None:
+        """See ArmAdapter."""
+        path = checked(trajectory, self.joints, self._at(self._clock()), self._rotary)
+        self._begin(path.x, path(path.x), path(path.x, 1))
+
+    def hold(self) -> None:
+        """See ArmAdapter."""
+        q, pace = self._at(self._clock()), self._at(self._clock(), 1)
+        self._begin(np.array([0.0, HOLD_S]), np.stack([q, q + HOLD_S / 2 * pace]), np.stack([pace, 0 * pace]))
+
+    def close(self) -> None:
+        """See ArmAdapter."""
+
+    def _begin(self, time_s: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> None:
+        self._path, self._begun_s = CubicHermiteSpline(time_s, positions, velocities), self._clock()
+
+    def _at(self, now_s: float, derivative: int = 0) -> np.ndarray:
+        return self._path(min(now_s - self._begun_s, float(self._path.x[-1])), derivative)
