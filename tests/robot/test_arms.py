@@ -5,20 +5,23 @@ import re
 import numpy as np
 import pytest
 from rig import END_MM, ENTRY_MM, IdealPlant, Rig, code, metadata, wire
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 from tests.robot.arms import ARM_SETUP, SEVEN, SIX, FollowingArm, Streamed, at_images, calibrated, longer
 
-from sightline.common.checks import Limits
+from sightline.common.checks import Limits, failed
 from sightline.common.geometry.rigid import displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.frame import Frame
+from sightline.rehearsal.operation import calibrated_robot, confirmed_setup, joints_at_images
 from sightline.robot import contract
+from sightline.robot.control.insertion import Insertion, LinkRegistration, read_target
 from sightline.robot.control.states import State
-from sightline.robot.igtl import Transform
+from sightline.robot.igtl import Message, Transform
 from sightline.robot.kinematics.calibrated import MACHINED_SD, calibrate_axes
-from sightline.robot.kinematics.designs import six_axis
+from sightline.robot.kinematics.designs import imaging_yaw, nominal_manipulator, six_axis
 from sightline.robot.kinematics.manipulator import MIN_SINGULAR
 from sightline.robot.kinematics.model_file import read_arm
-from sightline.robot.kinematics.reach import Obstacle, Surroundings, check_reach
+from sightline.robot.kinematics.reach import Obstacle, Surroundings, check_reach, hip_surroundings
 from sightline.robot.kinematics.target import STANDOFF_MM, PlanIdentity, PoseAtImage, register, robot_target
 from sightline.robot.plant import CYCLE_S
 
@@ -57,6 +60,39 @@ def test_a_guide_is_drawn_back_straight():
     back = SIX.follow_line(q, -np.arange(10.0, 61.0, 10.0))
     tool = SIX.T_mcs_tool(q).inv() * SIX.T_mcs_tool(back)
     assert np.allclose(tool.translation, [[0.0, 0.0, -mm] for mm in range(10, 61, 10)], atol=1e-9)
+
+
+def test_what_is_in_the_way_is_avoided_by_a_rotation_about_the_wire():
+    """Lines some degrees from a typical wire in a hip: one whose nearest position is clear stays, one whose nearest is
+    not is laid the same otherwise, and one that no rotation frees is refused."""
+    block = Frame.load("block60")
+    robot, setup = calibrated_robot("right", block, arm="seven-axis"), confirmed_setup(block, "right", "SN-7")
+    arm, hip = robot.manipulator, np.array(setup.hip_mm)
+    q = joints_at_images(arm, imaging_yaw("right"))
+    stood = LinkRegistration(arm.T_mcs_cfcs(q), 0)
+
+    def insertion(tilt_deg: float) -> Insertion:
+        points = Rotation.from_euler("z", tilt_deg, degrees=True).apply([[36.0, 28.0, -12.0], [-32.0, -40.0, 4.0]])
+        pose = Transform.of(wire(*(points + hip)))
+        return read_target(Message(pose, "TGT_1"), stood, robot, setup, 0.0, near=q)
+
+    free = insertion(0.0)
+    assert free.cleared(arm, q, setup) is free
+    blocked = insertion(6.0)
+    theatre = hip_surroundings(stood.T_mcs_cfcs * RigidTransform.from_translation(hip), frame_mounted=False)
+    cleared = blocked.cleared(arm, q, setup)
+    ways = [check_reach(arm, one.waypoints(arm, q), theatre) for one in (blocked, cleared)]
+    assert [bool(failed(way)) for way in ways] == [True, False]
+    moved = arm.T_mcs_tool(blocked.q).inv() * arm.T_mcs_tool(cleared.q)
+    assert np.allclose(moved.translation, 0.0, atol=1e-6)
+    assert np.allclose(moved.rotation.as_rotvec()[:2], 0.0, atol=1e-8)
+    assert 0.2 < moved.rotation.magnitude() < np.deg2rad(60.1)
+    with pytest.raises(RobotRefusedError, match="The link 7 leaves 0 mm to the patient"):
+        insertion(12.0).cleared(arm, q, setup)
+
+
+def test_a_wire_whose_rotation_the_joints_determine_is_not_turned():
+    assert not len(nominal_manipulator().turned(np.array([0.0, 0.0, 0.5, 0.1, 20.0])))
 
 
 @pytest.mark.parametrize("arm", [SIX, SEVEN])

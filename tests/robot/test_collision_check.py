@@ -24,7 +24,7 @@ class HeldChecks:
         rig.controller.check_executor = self
 
     def __call__(self, work):
-        result: Future[None] = Future()
+        result: Future[Insertion] = Future()
         self.begun.append((work, result))
         return result
 
@@ -169,14 +169,14 @@ def test_a_command_that_a_stop_overtook_is_void():
 def test_behind_its_port_the_robot_goes_on_during_a_check(monkeypatch):
     """The loop runs, others are answered, and what its own client sent meanwhile is answered afterwards, in order."""
     free, checking = Event(), Event()
-    real = Insertion.refuse_collision
+    real = Insertion.cleared
 
     def slow(*args):
         checking.set()
         assert free.wait(10.0)
-        real(*args)
+        return real(*args)
 
-    monkeypatch.setattr(Insertion, "refuse_collision", slow)
+    monkeypatch.setattr(Insertion, "cleared", slow)
     with served() as server, RobotClient(port=server.port) as robot, RobotClient(port=server.port) as other:
         robot.start_up()
         robot.calibrate(T_MCS_CFCS, 10.0)

@@ -146,11 +146,12 @@ def test_a_target_of_a_client_without_the_lease_is_not_echoed_as_accepted():
     from concurrent.futures import Future
 
     rig, checks = Rig.at(State.TARGETING), []
-    rig.controller.check_executor = lambda work: checks.append(Future()) or checks[-1]
+    rig.controller.check_executor = lambda work: checks.append((work, Future())) or checks[-1][1]
     target(rig)
     other = Transform(np.diag([1.0, 1.0, 1.0, 1.0]) + np.pad([[99.0]], ((0, 3), (3, 0))))
     assert code(rig.send("TGT_X", other, OTHER), "TARGET") == Code.DENIED
-    checks[0].set_result(None)
+    work, check = checks[0]
+    check.set_result(work())
     echo = next(m for m in rig.run(0.01) if m.device_name == "TARGET" and isinstance(m.body, Transform))
     assert np.array_equal(echo.body.matrix, Transform.of(wire()).matrix)
 

@@ -144,6 +144,6 @@ def test_the_collision_check_has_the_patient_where_the_hip_lies_in_the_frames_co
     monkeypatch.setattr(insertion, "hip_surroundings", lambda pose, *_, **__: seen.append(pose) or Surroundings(()))
     known = read(END_MM)
     for hip_mm in ((0.0, 0.0, 0.0), (2.0, -76.8, -22.4)):
-        known.refuse_collision(ROBOT.manipulator, known.q, replace(SETUP, hip_mm=hip_mm))
+        known.cleared(ROBOT.manipulator, known.q, replace(SETUP, hip_mm=hip_mm))
         assert np.allclose(seen[-1].translation, known.T_mcs_cfcs.apply(hip_mm), atol=1e-9)
         assert np.allclose(seen[-1].rotation.as_matrix(), known.T_mcs_cfcs.rotation.as_matrix(), atol=1e-12)

@@ -32,7 +32,7 @@ A = TypeVar("A")
 _MOTION = (Trigger.MOVE_TO_TARGET, Trigger.DRILL, Trigger.GUIDE, Trigger.RETRACT)
 
 
-CheckExecutor = Callable[[Callable[[], None]], "Future[None]"]  # submits the work, as Executor.submit does
+CheckExecutor = Callable[[Callable[[], Insertion]], "Future[Insertion]"]  # submits the work, as Executor.submit does
 MAX_CHECK_S = contract.ACK_S  # a motion whose check took longer does not begin
 TARGET = "TARGET"  # name of the outcome for a target's check
 
@@ -40,14 +40,14 @@ TARGET = "TARGET"  # name of the outcome for a target's check
 @dataclass(frozen=True, eq=False)
 class CollisionCheck:
     """Collision check of an insertion for a `client`, starting at the joints `start` (n,). `trigger`: the motion that
-    waits for it; None for a target just sent. `result` raises RobotRefusedError with what is in the way."""
+    waits for it; None for a target just sent. `result`: as of `Insertion.cleared`."""
 
     client: int
     trigger: Trigger | None
     insertion: Insertion
     start: np.ndarray
     begun_s: float
-    result: "Future[None]"
+    result: "Future[Insertion]"
 
     @property
     def name(self) -> str:
@@ -55,9 +55,9 @@ class CollisionCheck:
         return TARGET if self.trigger is None else self.trigger.value
 
 
-def run_at_once(work: Callable[[], None]) -> "Future[None]":
+def run_at_once(work: Callable[[], Insertion]) -> "Future[Insertion]":
     """Synchronous executor for callers without a control loop."""
-    done: Future[None] = Future()
+    done: Future[Insertion] = Future()
     try:
         done.set_result(work())
     except Exception as error:
@@ -206,7 +206,7 @@ class Controller:
     def _begin_check(self, client: int, insertion: Insertion, trigger: Trigger | None, now_s: float) -> Answer:
         """Check the path from here. The robot stands still and its client's other requests wait until it has ended."""
         start = self.machine.q
-        work = partial(insertion.refuse_collision, self.machine.robot.manipulator, start, self.machine.setup)
+        work = partial(insertion.cleared, self.machine.robot.manipulator, start, self.machine.setup)
         self._check = CollisionCheck(client, trigger, insertion, start, now_s, self.check_executor(work))
         return self._finish_check(now_s) or Answer(Code.OK, done=False)
 
@@ -224,10 +224,10 @@ class Controller:
         if check is None or not check.result.done():
             return None
         self._check = None
-        check.result.result()
-        self.machine.insertion, self._checked_from = check.insertion, check.start
+        cleared = check.result.result()
+        self.machine.insertion, self._checked_from = cleared, check.start
         if check.trigger is None:
-            hole = self.machine.open_hole(check.insertion)
+            hole = self.machine.open_hole(cleared)
             return Answer(Code.OK, "" if hole is None else f"{contract.OPEN_HOLE}; {hole.bottom_mm:.2f} mm")
         if now_s - check.begun_s > MAX_CHECK_S or self._needs_check(check.trigger):
             text = f"looking for collisions took {now_s - check.begun_s:.1f} s, or the robot was moved meanwhile"

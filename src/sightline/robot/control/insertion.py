@@ -1,7 +1,8 @@
 """Registration and insertion, read from the messages that arrive over the link, or refused."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
@@ -76,8 +77,8 @@ class LinkRegistration:
 class Insertion:
     """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (n,): as of `RobotTarget`.
 
-    `sent`: the pose at the end point as received; `T_cfcs_wire`: the pose that the robot will reach. Depths count from
-    the entry point. `identity` is None for a bare transform. `limits`: of them only `beyond_mm` and `before_mm` count.
+    `sent`: the pose at the end point as received. Depths count from the entry point. `identity` is None for a bare
+    transform. `limits`: of them only `beyond_mm` and `before_mm` count.
     """
 
     identity: PlanIdentity | None
@@ -86,7 +87,6 @@ class Insertion:
     end_mm: np.ndarray
     q: np.ndarray
     sent: Transform
-    T_cfcs_wire: RigidTransform
     depth_limit_mm: float
     expires_s: float
     limits: Limits
@@ -100,6 +100,11 @@ class Insertion:
     def standoff_mm(self) -> float:
         """Distance before the entry point at which the wire waits for the confirmation shot."""
         return STANDOFF_MM + self.limits.before_mm
+
+    def T_cfcs_wire(self, manipulator: Manipulator) -> RigidTransform:
+        """Return the pose at the end point, CFCS, that the robot will reach."""
+        beyond_mm = self.length_mm + (0.0 if manipulator.has_feed else self.standoff_mm)
+        return self.T_mcs_cfcs.inv() * manipulator.along(self.q, beyond_mm)
 
     def is_same(self, other: "Insertion") -> bool:
         """Return whether the other has this registration and target, number for number, and leads to these joints."""
@@ -119,17 +124,28 @@ class Insertion:
         on_line = retracted(manipulator, self.q)
         return np.stack([q, back, on_line, manipulator.fed(self.q, -self.standoff_mm)])
 
-    def refuse_collision(self, manipulator: Manipulator, q: np.ndarray, setup: Setup) -> None:
-        """Raise RobotRefusedError if the path from the joints `q` (n,) to the end point comes too near an obstacle."""
-        way = self.waypoints(manipulator, q)
-        if manipulator.has_feed:
-            way = np.vstack([way, manipulator.fed(self.q, self.length_mm)])
+    def cleared(self, manipulator: Manipulator, q: np.ndarray, setup: Setup) -> "Insertion":
+        """Return the insertion if its path from the joints `q` (n,) to the end point keeps clear of all obstacles; else
+        the same wire with the least other rotation about its axis that does. Raises RobotRefusedError with what is in
+        the way without one."""
         at_hip = self.T_mcs_cfcs * RigidTransform.from_translation(setup.hip_mm)
         T_mcs_hip = at_hip if setup.frames is None else setup.frames.T_mcs_hip
         theatre = hip_surroundings(T_mcs_hip, setup.frame_mounted, setup.remount_mm, c_arm=not setup.c_arm_away)
-        bad = failed(check_reach(manipulator, way, theatre))
+        bad = failed(check_reach(manipulator, self._path(manipulator, q), theatre))
+        for joints in manipulator.turned(self.q) if bad else ():
+            if failed(check_reach(manipulator, joints[None], theatre)):
+                continue  # at its end, which takes a fraction of the time
+            turned = replace(self, q=joints)
+            with suppress(RobotRefusedError):  # the guide cannot follow the line
+                if not failed(check_reach(manipulator, turned._path(manipulator, q), theatre)):
+                    return turned
         if bad:
             raise RobotRefusedError(" ".join(check.sentence for check in bad))
+        return self
+
+    def _path(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
+        way = self.waypoints(manipulator, q)
+        return np.vstack([way, manipulator.fed(self.q, self.length_mm)]) if manipulator.has_feed else way
 
 
 def retracted(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
@@ -169,7 +185,7 @@ def read_target(
     """Return the insertion in a transform: the wire's pose at the end point, CFCS, +z towards the tip, with the plan's
     metadata if any. `near` (n,): as of `Manipulator.solutions`.
 
-    `Insertion.refuse_collision` checks the path from the robot's position later. Raises RobotRefusedError with the
+    `Insertion.cleared` checks the path from the robot's position later. Raises RobotRefusedError with the
     reason.
     """
     sent = _rigid(message, "target")
@@ -192,8 +208,7 @@ def read_target(
     q = manipulator.inverse(entry, end, depth, near)
     if manipulator.has_feed:
         refuse_feed(manipulator, q, length, limits.before_mm)
-    laid = registration.T_mcs_cfcs.inv() * manipulator.along(q, length - depth)
-    return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, sent, laid, limit, expires, limits)
+    return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, sent, limit, expires, limits)
 
 
 def refuse_feed(manipulator: Manipulator, q: np.ndarray, length_mm: float, before_mm: float = 0.0) -> None:

@@ -30,9 +30,11 @@ PARTS = (
     Capsule("chuck", FEED + 1, np.array([[0.0, -40.0, -40.0], [0.0, -40.0, 55.0]]), 15.0),
 )
 
-# Denavit-Hartenberg parameters in mm: standard ones (d, a, alpha) of the UR5e [src: Universal Robots, "Parameters for
-# calculations of kinematics and dynamics"]; modified ones (a, alpha, d; the first two before the joint) of the Franka
-# Research 3 [mem: Franka Robotics, "FCI documentation"], with its joint limits [src: franka_rust, franka_fr3.rs].
+# Denavit-Hartenberg parameters in mm: standard ones (d, a, alpha) of the UR5e [src: Universal Robots, "DH Parameters
+# for calculations of kinematics and dynamics"]; modified ones (a, alpha, d; the first two before the joint) of the
+# Franka Research 3 [src: mujoco_menagerie, franka_fr3/fr3.xml], with its joint limits [src: franka_description,
+# fr3/joint_limits.yaml]. The UR5e's joints turn by 360° to each side, its elbow by 180° [src:
+# Universal_Robots_ROS2_Description, ur5e/joint_limits.yaml]; here all by UR5E_LIMIT_RAD, for drapes and cables [ours].
 UR5E_DH = (
     (162.5, 0.0, np.pi / 2),
     (0.0, -425.0, 0.0),
@@ -41,6 +43,10 @@ UR5E_DH = (
     (99.7, 0.0, -np.pi / 2),
     (99.6, 0.0, 0.0),
 )
+UR5E_LIMIT_RAD = np.pi
+# Of the UR5e's links, how far they lie from the line between their joints' frames, along the axis of their own joint,
+# mm: upper arm and forearm are mounted beside it [src: the same, ur5e/physical_parameters.yaml].
+UR5E_ASIDE_MM = (0.0, 138.0, 7.0, 0.0, 0.0, 0.0)
 FR3_DH = (
     (0.0, 0.0, 333.0),
     (0.0, -np.pi / 2, 0.0),
@@ -107,10 +113,8 @@ def six_axis(side: str = "right", hip_mm: ArrayLike = (0.0, 0.0, 0.0), yaw_rad: 
     """Return a six-axis arm that holds a drill guide, with the kinematics of a UR5e; arguments as of
     `nominal_manipulator`. MCS is its base; the flange's x and y are turned as the manipulator's."""
     links = [_link((a, 0.0, d), alpha) for d, a, alpha in UR5E_DH]
-    limits = np.full(6, np.pi)
-    return _guiding(
-        links, RigidTransform.identity(), -limits, limits, _frame_mount(GUIDED_HIP_MM, side, hip_mm, yaw_rad)
-    )
+    limits, mount = np.full(6, UR5E_LIMIT_RAD), _frame_mount(GUIDED_HIP_MM, side, hip_mm, yaw_rad)
+    return _guiding(links, RigidTransform.identity(), -limits, limits, mount, aside_mm=UR5E_ASIDE_MM)
 
 
 def seven_axis(side: str = "right", hip_mm: ArrayLike = (0.0, 0.0, 0.0), yaw_rad: float | None = None) -> Manipulator:
@@ -119,7 +123,8 @@ def seven_axis(side: str = "right", hip_mm: ArrayLike = (0.0, 0.0, 0.0), yaw_rad
     first, *links = [_link((a, -d * np.sin(alpha), d * np.cos(alpha)), alpha) for a, alpha, d in FR3_DH]
     links.append(RigidTransform.from_translation([0.0, 0.0, FR3_FLANGE_MM]))
     lower, upper = np.array(FR3_LOWER_RAD), np.array(FR3_UPPER_RAD)
-    return _guiding(links, first, lower, upper, _frame_mount(GUIDED_HIP_MM, side, hip_mm, yaw_rad))
+    mount = _frame_mount(GUIDED_HIP_MM, side, hip_mm, yaw_rad)
+    return _guiding(links, first, lower, upper, mount, aside_mm=np.zeros(7))
 
 
 Design = Literal["manipulator", "six-axis", "seven-axis"]
@@ -136,9 +141,11 @@ def _guiding(
     lower: np.ndarray,
     upper: np.ndarray,
     mount: RigidTransform,
+    *,
+    aside_mm: ArrayLike,
 ) -> Manipulator:
     """Return an arm of rotary joints about the z axes of their frames at q = 0, from the pose of the `first` and the
-    `links` from each to the next, the last one to the flange."""
+    `links` from each to the next, the last one to the flange. `aside_mm`: as UR5E_ASIDE_MM."""
     frames = [first]
     for link in links:
         frames.append(frames[-1] * link)
@@ -146,8 +153,14 @@ def _guiding(
     axes = np.array(
         [[*(z := frame.rotation.as_matrix()[:, 2]), *np.cross(frame.translation, z)] for frame in frames[:-1]]
     )
-    ends = [home.inv().apply([a.translation, b.translation]) for a, b in pairwise(frames)]
+    lines = zip(pairwise(frames), axes[:, :3], np.asarray(aside_mm), strict=True)
+    ends = [home.inv().apply(np.array([a.translation, b.translation]) + off * z) for (a, b), z, off in lines]
     parts = [Capsule(f"link {k + 1}", k + 1, end, LINK_RADIUS_MM) for k, end in enumerate(ends)]
+    parts += [
+        Capsule(f"joint {k + 2}", k + 1, np.array([a[1], b[0]]), LINK_RADIUS_MM)
+        for k, (a, b) in enumerate(pairwise(ends))
+        if np.linalg.norm(b[0] - a[1]) > LINK_RADIUS_MM
+    ]
     every = np.ones(count)
     return Manipulator(
         joints=tuple(f"joint {k + 1}" for k in range(count)),

@@ -218,7 +218,8 @@ class Dialogue:
             if self.dialect.tells_reachable:
                 if (hole := self._machine.open_hole(insertion)) is not None:
                     bodies.append((contract.OPEN_HOLE_DEPTH, Sensor(np.array([hole.bottom_mm]), MILLIMETRE)))
-                bodies.append(("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire)))
+                reached = insertion.T_cfcs_wire(self._machine.robot.manipulator)
+                bodies.append(("REACHABLE_TARGET", Transform.of(reached)))
         return bodies
 
     def _of_command(self, client: int, number: int, command: str, text: str) -> CommandReply:

@@ -16,7 +16,7 @@ DRIVE_HZ = 80.0  # bandwidth of a drive's position loop, critically damped
 SPRING_DAMPING = 0.1  # of critical damping, from bolted joints and grease in the gears
 MAX_PHASE = 1.5  # rad of a spring's oscillation per time step; beyond 2 it is unstable [calc]
 HARD_STOP = (2.0, float(np.deg2rad(0.5)))  # distance beyond a soft limit: mm, rad
-# Of arms that hold a guide, by their number of joints: each link's mass, kg [mem: Universal Robots, "Parameters for
+# Of arms that hold a guide, by their number of joints: each link's mass, kg [src: Universal Robots, "DH Parameters for
 # calculations of kinematics and dynamics"; src: franka_description, fr3/inertials.yaml], and each motor's inertia at
 # its joint, kg m² [ours; src: Drake, reflected inertia of the FR3]. The guide with a frame weighs HELD_KG [ours].
 LINKS_KG = {6: (3.761, 8.058, 2.846, 1.37, 1.3, 0.365), 7: (2.927, 2.936, 2.245, 2.616, 2.327, 1.817, 0.627)}
