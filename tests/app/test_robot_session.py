@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.robot.rig import ROBOT, SETUP, T_MCS_CFCS, metadata, wire
+from tests.robot.rig import END_MM, ENTRY_MM, ROBOT, SETUP, T_MCS_CFCS, metadata, wire
 from tests.robot.test_depth import Layers
 
 from sightline.app import texts
@@ -22,13 +22,14 @@ from sightline.app.session.sent import ZeroSource
 from sightline.common.checks import Limits
 from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import LinkError, RobotRefusedError
-from sightline.rehearsal.operation import SimulatedTheatre
+from sightline.frame import Frame
+from sightline.rehearsal.operation import SimulatedTheatre, await_hand, registered
 from sightline.robot.contract import DEPTH
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import Setup
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.designs import FEED
-from sightline.robot.kinematics.target import CONTACT_LEAD_MM, CONTACT_SD_MM, PLAN_SD_MM
+from sightline.robot.kinematics.target import CONTACT_LEAD_MM, CONTACT_SD_MM, PLAN_SD_MM, PlanIdentity, robot_target
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.server import RobotServer, Simulation
 
@@ -106,6 +107,29 @@ def test_an_open_hole_is_told(session: RobotSession, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(drill, "note", lambda text, **_: told.append(text))
     drill._robot(SimpleNamespace(planning=SimpleNamespace(drilled=None), session=of))
     assert "This hole was drilled to 30.0 mm before: the robot drills on there" in told[0]
+
+
+@pytest.mark.slow  # a wire is drilled
+def test_an_arm_holds_its_guide_until_a_person_has_drilled_or_somebody_stops_it() -> None:
+    """Fails where the page orders DRILL, which this arm refuses, and where it waits on after STOP."""
+    theatre = SimulatedTheatre.in_air("right", "none", Frame.load("block60"), "six-axis")
+    identity = PlanIdentity("plan-1", "right", "none", True, "", theatre.setup.frame)
+    stood = registered(theatre.robot, theatre.imaged, time.monotonic())
+    points = np.stack([ENTRY_MM, END_MM]) + theatre.setup.hip_mm
+    target = robot_target(identity, points, {"planning": 1e-3 * np.eye(6)}, stood, Limits())
+    with theatre.server(virtual=True) as server:
+        session = RobotSession(theatre.robot, server.port, lambda: None)
+        asyncio.run(session.send(target, target.length_mm + 1.0))
+        asyncio.run(session.align())
+        _until(session, lambda now: now.state == "ALIGNED")
+        assert asyncio.run(session.drill(State.ALIGNED)) == State.DONE.value
+        wire_mm = asyncio.run(session.simulated_wire()).axis_mm
+        assert np.linalg.norm(wire_mm[1] - points[1]) < 1.0
+        asyncio.run(session.stop())
+        _until(session, lambda now: now.state == "STOP")
+        with pytest.raises(RobotRefusedError, match="STOP"):
+            asyncio.run(session._do("waiting", lambda client: await_hand(client, target)))
+        session.close()
 
 
 def test_nobody_is_told_of_a_link_that_was_ended_on_purpose() -> None:
@@ -187,13 +211,13 @@ def test_a_depth_without_an_error_says_so(now: RobotNow, words: str) -> None:
 @pytest.mark.parametrize(
     ("told_mm", "said"),
     [
-        ([], "to the planned depth"),  # by the robot's word alone
+        ([], "by hand; the robot does not know how deep"),
         ([-10.0, 25.9], "to the planned depth"),
         ([-10.0, 23.7], "through the far cortex, 2.3 mm short of the planned depth"),
     ],
 )
 def test_a_wire_is_called_drilled_to_the_planned_depth_only_if_it_is(told_mm: list[float], said: str) -> None:
-    """Planned: 21 mm, and 5 beyond them. Fails for a page that breaks where a robot tells no depth."""
+    """Planned: 21 mm, and 5 beyond them. Fails for a page that says so, or breaks, where a robot tells no depth."""
     limits = SimpleNamespace(beyond_mm=5.0)
     plan = SimpleNamespace(trajectory=SimpleNamespace(length_mm=21.0), kind=SimpleNamespace(limits=limits))
     drilled = SimpleNamespace(record=SimpleNamespace(depth_mm=np.array(told_mm)))

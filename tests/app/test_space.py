@@ -27,7 +27,7 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.rehearsal.patient import NAILED
 from sightline.rehearsal.rehearsal import Rehearsal
-from sightline.robot.kinematics.designs import PITCH, YAW, nominal_manipulator
+from sightline.robot.kinematics.designs import PITCH, YAW, nominal_manipulator, six_axis
 from sightline.twin.anatomy.femur import Femur, voxelise
 from sightline.twin.objects.volumes import Volume
 
@@ -100,6 +100,26 @@ def test_the_robot_stands_where_its_joints_are() -> None:
     behind = np.array(wire["from"]) - wire["to"]
     np.testing.assert_allclose(behind / np.linalg.norm(behind), -tool.apply([0, 0, 1]) + tool.translation, atol=1e-4)
     assert np.linalg.norm(behind) == pytest.approx(200.0, abs=0.02)
+
+
+def test_an_arm_is_drawn_in_one_piece_from_its_base_to_the_mouth_of_the_guide_that_it_holds() -> None:
+    """Upper arm and forearm of this one lie beside the lines between their joints: by 138 and 7 mm."""
+    robot, q = six_axis(), np.array([0.3, -1.9, -2.1, -2.3, -1.2, 0.4])
+    T_mcs_cfcs = RigidTransform.from_exp_coords([0.1, -0.2, 2.9, 480.0, -40.0, 380.0])
+    drawn = robot_objects(robot, q, T_mcs_cfcs)
+    bodies = of_kind(drawn, "cylinder")
+    mouth, behind = robot.T_mcs_tool(q).apply([[0.0, 0.0, 0.0], [0.0, 0.0, -120.0]])
+    [guide] = [one for one in bodies if one["style"] == "tool"]
+    np.testing.assert_allclose([guide["to"], guide["from"]], T_mcs_cfcs.inv().apply([mouth, behind]), atol=0.006)
+    ends = [np.array([one["from"], one["to"]]) for one in bodies]
+    reached, left = [T_mcs_cfcs.inv().translation], list(range(len(ends)))
+    while left:
+        near = [k for k in left if np.linalg.norm(ends[k][:, None] - np.array(reached), axis=-1).min() < 8.0]
+        assert near  # forearm and wrist meet within 7 mm
+        reached += [at for k in near for at in ends[k]]
+        left = [k for k in left if k not in near]
+    lengths = sorted(np.linalg.norm(end[1] - end[0]) for end in ends)
+    assert lengths[-4:] == pytest.approx([138.0, 162.5, 392.2, 425.0], abs=0.03)
 
 
 @pytest.mark.parametrize(("side", "sign"), [("right", 1), ("left", -1)])

@@ -1,5 +1,6 @@
 """The demo's robot with a block: registered by encoders, and by images of its own wire."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import patch
@@ -7,7 +8,9 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
+from sightline.app.session.rehearsing import Patient
 from sightline.calibration import calibrate
+from sightline.case.journal import Case, Kind
 from sightline.cli import demo as demo_robot
 from sightline.cli.demo import RobotAhead
 from sightline.common.geometry.covariance import length_quantile
@@ -52,6 +55,26 @@ def test_both_registrations_know_the_wire_as_they_state_and_images_better(planne
     assert tips[BY_IMAGES] < 0.6 * tips[BY_ENCODERS] < 0.6
 
 
+@pytest.mark.slow
+def test_an_arm_holds_the_guide_while_a_person_drills_and_the_check_shot_passes(run, tmp_path):
+    """The case knows the arm, so that the app starts the same one."""
+    ran = run("demo", "--frame", "block60", "--arm", "six-axis", "--out", tmp_path / "demo", "--json")
+    assert ran.code == 0, ran.err
+    assert ran.document["drilled"]["passed"] is True
+    assert "no wire is in the guide yet" in ran.err
+    drilling = json.loads((tmp_path / "demo" / "drilling.json").read_text())
+    off = drilling["physics"][0]  # against the plan; a guide of the manipulator's frame on its flange is 60 mm off
+    assert len(drilling["joints"]) == 6
+    assert max(off["entry_mm"], off["tip_mm"]) < 1.0
+    page = (tmp_path / "demo" / "report.html").read_text()
+    assert "--frame block60 --arm six-axis" in page
+    assert "through a guide" in page  # among the robot's sources of error
+    with Case.open(tmp_path / "demo" / "case", read_only=True) as case:
+        patient = case.latest(Kind.CHANGED, where={"what": "rehearsal"})
+    assert patient is not None
+    assert Patient.of(patient.content["to"]).arm == "six-axis"
+
+
 def tip_error_95_mm(stood: Registration) -> float:
     tip = stood.robot.manipulator.T_mcs_tool(stood.q).translation[None]
     parts = stood.robot.wire_against_frame(stood.q, stood.q, tip)
@@ -82,15 +105,15 @@ def test_a_robot_starts_ahead_of_those_patients_and_frames_that_it_drills():
         return started[-1]
 
     with patch.object(demo_robot, "_robot", side_effect=start), patch.object(demo_robot, "_installed", lambda: True):
-        with RobotAhead(3, "pedicle-screw", None) as ahead:
+        with RobotAhead(3, "pedicle-screw", None, "manipulator") as ahead:
             ahead.keep_beside(BLOCK)
         assert started == []
-        with RobotAhead(3, "distal-interlocking", None) as ahead:
+        with RobotAhead(3, "distal-interlocking", None, "six-axis") as ahead:
             ahead.keep_beside(BLOCK)
-            assert started[0].of == (3, "block60", "right", "distal-interlocking")
+            assert started[0].of == (3, "block60", "right", "distal-interlocking", "six-axis")
             assert len(started) == 1
         assert started.pop() == "closed"
-        with RobotAhead(3, "hip-screw", "block40+detector-plate") as ahead:
+        with RobotAhead(3, "hip-screw", "block40+detector-plate", "manipulator") as ahead:
             ahead.keep_beside(Frame.load("block40+detector-plate"))
             assert started[-1] == "closed"
         assert started.count("closed") == 1  # once

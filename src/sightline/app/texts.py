@@ -177,6 +177,24 @@ STATES = {
     "GUIDE": "Holding the drill guide",
     "RETRACT": "Retracting the wire",
 }
+RETRACT = "Retract: if the wire is to stay in the bone, open the chuck first. Is it open?"
+GUIDE_BACK = "Draw the guide back along the wire, 60 mm. Is the drill off the wire?"
+ALIGN_QUESTION = (
+    "Align: the wire retracts into its sleeve, then the whole arm moves. Is its path clear of people, table and C-arm?"
+)
+ALIGN_GUIDE_QUESTION = (
+    "Align: the arm moves to the line without a wire, then along it. Is the block off, and is its path clear of "
+    "people, table and C-arm?"
+)
+HOLD = "Hold the guide"
+HOLD_QUESTION = (
+    "Hold the guide while a person drills through it. Does the confirmation shot show the guide on the plan?"
+)
+DRILL_QUESTION = (
+    "Drill: the wire rotates and advances into the bone, to {left:.0f} mm before its planned depth. Does the sleeve "
+    "stand on the bone, and does the confirmation shot show the guide on the plan?"
+)
+DRILLED_BY_HAND = "Drilled by hand; the robot does not know how deep. Verify the wire in two check images."
 SEND = "Send the plan"
 ALIGN = "Align"
 DRILL = "Drill"

@@ -184,6 +184,10 @@ FrameSource = Annotated[
     str, typer.Argument(metavar="FRAME", help="A frame file, or a built-in frame: gamma, biplane, stereo, block60, ...")
 ]
 Rehearsed = Literal["hip-screw", "cannulated-hip-screws", "free-wire", "distal-interlocking"]
+Arm = Annotated[
+    Literal["manipulator", "six-axis", "seven-axis"],
+    typer.Option(help="The arm: ours feeds the wire, the others hold the guide while a person drills."),
+]
 
 
 def frame_of_images(output: "Output", given: str | None) -> "Frame":

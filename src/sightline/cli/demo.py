@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sightline.cli.base import Output, command, commands
+from sightline.cli.base import Arm, Output, command, commands
 from sightline.common.closing import Closing
 
 if TYPE_CHECKING:
@@ -25,11 +25,12 @@ if TYPE_CHECKING:
     from sightline.rehearsal.process import RobotProcess
     from sightline.rehearsal.wire import DemoPlan, Inserted, TakenShot
     from sightline.robot.control.states import State
+    from sightline.robot.kinematics.designs import Design
 
 # The plan is made with the first; blocks know no other.
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")
 DEFAULT = "hip-screw"
-SIDE = "right"
+SIDE, ARM = "right", "manipulator"
 # The first seed whose beads surround the whole wire in both images; otherwise `localized` gives no result to compare.
 SEED = 9
 # With seed 9 one click on the pelvis is 3.7 s.d. off, and the check shot refuses it. Of the nails of seeds 0 to 17 one
@@ -71,9 +72,9 @@ class RobotAhead(Closing):
     It is started if the robot drills the patient of the procedure. `frame`: its name, by default the procedure's.
     """
 
-    def __init__(self, seed: int, procedure: str, frame: str | None) -> None:
+    def __init__(self, seed: int, procedure: str, frame: str | None, arm: "Design") -> None:
         starts = procedure in WITH_ROBOT and _installed()
-        self._running = _robot(seed, frame or WITH_ROBOT[procedure], SIDE, procedure) if starts else None
+        self._running = _robot(seed, frame or WITH_ROBOT[procedure], SIDE, procedure, arm) if starts else None
 
     def keep_beside(self, frame: "Frame") -> None:
         """End it where a frame leaves the robot no room."""
@@ -83,8 +84,8 @@ class RobotAhead(Closing):
     def take(self, planned: "DemoPlan") -> "RobotProcess":
         """Return the one that was started, or a new one for another wire."""
         taken, self._running = self._running, None
-        patient = planned.rehearsal
-        return taken or _robot(patient.seed, planned.frame_name, patient.side, patient.procedure)
+        patient = planned.robot
+        return taken or _robot(patient.seed, planned.frame_name, patient.side, patient.procedure, patient.arm)
 
     def close(self) -> None:
         """End it, if nobody took it."""
@@ -97,11 +98,11 @@ def _installed() -> bool:
     return find_spec("mujoco") is not None
 
 
-def _robot(seed: int, frame_name: str, side: str, procedure: str) -> "RobotProcess":
+def _robot(seed: int, frame_name: str, side: str, procedure: str, arm: "Design") -> "RobotProcess":
     """Start the process, without an import that takes long."""
     from sightline.rehearsal.process import RobotProcess
 
-    return RobotProcess(seed, frame_name, side, procedure, virtual=True)
+    return RobotProcess(seed, frame_name, side, procedure, arm, virtual=True)
 
 
 def carry_out(
@@ -159,7 +160,7 @@ def _drill(output: Output, planned: "DemoPlan", ahead: RobotAhead, rng: "np.rand
 
     from sightline.case.report.drilled import Drilled
     from sightline.common.checks import failed
-    from sightline.planning.check.shot import TURNED_AWAY
+    from sightline.planning.check.shot import NO_WIRE, TURNED_AWAY
     from sightline.rehearsal.operation import insert
     from sightline.rehearsal.wire import (
         BY_ENCODERS,
@@ -174,8 +175,10 @@ def _drill(output: Output, planned: "DemoPlan", ahead: RobotAhead, rng: "np.rand
     from sightline.robot.link.client import RobotClient
 
     shots: dict[str, TakenShot] = {}
+    by_hand = not planned.robot.robot.manipulator.has_feed
+    drilling = "holding the guide while a person drills" if by_hand else "drilling under force supervision"
     with (
-        output.step(f"6/8 the robot{planned.of_wire}: registering, aligning, drilling under force supervision"),
+        output.step(f"6/8 the robot{planned.of_wire}: registering, aligning, {drilling}"),
         ahead.take(planned) as process,
         RobotClient(port=process.port) as robot,
     ):
@@ -186,6 +189,8 @@ def _drill(output: Output, planned: "DemoPlan", ahead: RobotAhead, rng: "np.rand
         def confirm(state: "State") -> None:
             if planned.rehearsal.setup.frame.solid is None:
                 output.note(f"{state.value}: {TURNED_AWAY}")
+            elif by_hand:
+                output.note(f"{state.value}: {NO_WIRE}")
             elif planned.before_mm:
                 output.note(f"{state.value}: this demo measures the shots while drilling of the first wire only")
             else:
@@ -283,6 +288,7 @@ def _report(
     procedure, frame_name = rehearsal.procedure, planned.frame_name
     given = "" if procedure == DEFAULT else f" --procedure {procedure}"
     given += "" if frame_name == frame_for(procedure, None) else f" --frame {frame_name}"
+    given += "" if (arm := planned.arm) == ARM else f" --arm {arm}"
     provenance = {
         "images": f"made by the digital twin, seed {rehearsal.seed}, written as DICOM without geometry and read back",
         "picks": _picks_told(planned.asked, drawn),
@@ -333,7 +339,7 @@ def record(
         frame_ref = stages.keep_frame(case, frame)
         stages.record_changed(case, "frame", frame_ref, by=by)
         if rehearsal.procedure in WITH_ROBOT:  # the app rehearses with a robot
-            patient = Patient(rehearsal.seed, frame.name, rehearsal.side, rehearsal.procedure)
+            patient = Patient(rehearsal.seed, frame.name, rehearsal.side, rehearsal.procedure, planned.arm)
             stages.record_changed(case, "rehearsal", vars(patient), by=by)
         before = case.last
         first, second = (
@@ -462,7 +468,7 @@ def _show(
 
 
 def _run(
-    output: Output, folder: Path, ahead: RobotAhead, *, seed: int, frame_name: str, procedure: str
+    output: Output, folder: Path, ahead: RobotAhead, *, seed: int, frame_name: str, procedure: str, arm: "Design"
 ) -> dict[str, Any]:
     """Do all steps and return the result. The images are read back from their files, as a user's images are."""
     from sightline.case.report.page import render
@@ -476,7 +482,7 @@ def _run(
     frame = Frame.load(frame_name)
     with output.step("1/8 drawing the set-up and its X-ray images"):
         if procedure in WITH_ROBOT:
-            rehearsal = Rehearsal.draw(seed, frame, SIDE, procedure)
+            rehearsal = Rehearsal.draw(seed, frame, SIDE, procedure, arm)
         else:
             rehearsal = draw_patient(procedure, seed, frame)
         pictures = rehearsal.images
@@ -510,7 +516,11 @@ def _run(
 
 
 @command(
-    commands, "demo", "sightline demo --out out/demo", "sightline demo --procedure pedicle-screw --out out/pedicle"
+    commands,
+    "demo",
+    "sightline demo --out out/demo",
+    "sightline demo --procedure pedicle-screw --out out/pedicle",
+    "sightline demo --frame block60 --arm six-axis --out out/arm",
 )
 def demo(
     output: Output,
@@ -529,6 +539,7 @@ def demo(
             show_default=False,
         ),
     ] = None,
+    arm: Arm = ARM,
 ) -> None:
     """Simulate, plan and drill one case.
 
@@ -537,7 +548,7 @@ def demo(
     was planned.
     """
     seed = SEEDS.get(procedure, SEED) if seed is None else seed
-    with RobotAhead(seed, procedure, frame) as ahead:  # its process imports while this one does
+    with RobotAhead(seed, procedure, frame, arm) as ahead:  # its process imports while this one does
         from sightline.common.atomic import whole_folder
         from sightline.frame import Frame
 
@@ -546,7 +557,7 @@ def demo(
         output.note(f"Sightline demo, seed {seed}: {how_long}; the first run compiles and takes a minute more")
         ahead.keep_beside(Frame.load(frame_name))
         with whole_folder(out, units=("case",)) as scratch:
-            document = _run(output, scratch, ahead, seed=seed, frame_name=frame_name, procedure=procedure)
+            document = _run(output, scratch, ahead, seed=seed, frame_name=frame_name, procedure=procedure, arm=arm)
             files = [out / file.name for file in sorted(scratch.iterdir())]
     output.say(f"report: {out / 'report.html'}")
     output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")

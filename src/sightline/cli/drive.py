@@ -250,9 +250,12 @@ def _shot(output: Output, robot: "RobotClient", state: str, shots: "DriveShots |
     Raises RobotRefusedError.
     """
     from sightline.errors import RobotRefusedError
-    from sightline.planning.check.shot import TURNED_AWAY
+    from sightline.planning.check.shot import NO_WIRE, TURNED_AWAY
+    from sightline.robot import contract
 
-    if not measurable:
+    if contract.HAS_GUIDE in robot.capabilities:
+        output.note(f"{state}: {NO_WIRE}")
+    elif not measurable:
         output.note(f"{state}: {TURNED_AWAY}")
     elif shots is None:
         output.note(f"{state}: the shot is not measured: give --case, the case with this plan. The decision is yours.")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from sightline.cli.base import FrameName, Output, Rehearsed, Side, as_json, command, group, parse_address
+from sightline.cli.base import Arm, FrameName, Output, Rehearsed, Side, as_json, command, group, parse_address
 
 if TYPE_CHECKING:
     import numpy as np
@@ -90,9 +90,7 @@ class Held:
 class Simulator(Held):
     """A simulated robot."""
 
-    arm: Annotated[
-        Twin, typer.Option(help="The arm: ours feeds the wire, the others hold the guide while a person drills.")
-    ] = "manipulator"
+    arm: Arm = "manipulator"
 
 
 @dataclass(frozen=True)

@@ -339,7 +339,8 @@ def insert(
 def await_hand(client: RobotClient, target: RobotTarget) -> None:
     """Wait until the person at a simulated robot has drilled: the wire stands about at its depth.
 
-    Raises RobotRefusedError with the robot's fault, LinkError if nobody drills so far."""
+    Raises RobotRefusedError with the robot's fault, or if it holds the guide no longer; LinkError if nobody drills so
+    far."""
     along = (target.end_mm - target.entry_mm) / target.length_mm
     depth_mm, stands, until_s = -np.inf, 0, time.monotonic() + HAND_S
     while stands < STANDS:
@@ -347,7 +348,9 @@ def await_hand(client: RobotClient, target: RobotTarget) -> None:
         with client.connection.mailbox() as mail:
             tip_mm = client.simulated_wire().wire_mm[2]
             status = mail.need(lambda m: m.device_name == contract.CURRENT_STATUS, STATUS_S, contract.CURRENT_STATUS)
-        if isinstance(status.body, Status) and status.body.subcode:
+        if isinstance(status.body, Status) and (
+            status.body.subcode or not status.body.text.startswith(State.GUIDE.value)
+        ):
             raise RobotRefusedError(status.body.text)
         if time.monotonic() > until_s:
             raise LinkError(f"nobody has drilled through the guide within {HAND_S:g} s")

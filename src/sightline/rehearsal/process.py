@@ -19,7 +19,7 @@ _SHOWN = 2000  # last characters of its error output that a message repeats
 
 
 class RobotProcess(Closing):
-    """The robot of `Rehearsal.draw(seed, Frame.load(frame), side, procedure)`, listening at `port` on loopback.
+    """The robot of `Rehearsal.draw(seed, Frame.load(frame), side, procedure, arm)`, listening at `port` on loopback.
 
     Use it as `with RobotProcess(seed) as robot:`, with a RobotClient at `robot.port`, which waits until the robot
     listens. The process ends with the block, with `close`, and when this process ends in any way. `virtual`: run as
@@ -32,11 +32,13 @@ class RobotProcess(Closing):
         frame: str = "gamma",
         side: str = "right",
         procedure: str = "hip-screw",
+        arm: str = "manipulator",
         *,
         virtual: bool = False,
     ) -> None:
         command = [sys.executable, "-m", "sightline", "robot", "serve", "--attached", "--port", "0", "--quiet"]
         command += ["--rehearse", str(seed), "--frame", frame, "--side", side, "--procedure", procedure]
+        command += ["--arm", arm]
         command += ["--virtual"] if virtual else []
         self._errors: IO[bytes] = TemporaryFile()  # noqa: SIM115 - closed by close
         self._process = subprocess.Popen(  # noqa: S603 - our own program, no shell

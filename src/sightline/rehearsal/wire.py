@@ -25,6 +25,7 @@ from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
 from sightline.robot.control.states import State
 from sightline.robot.control.supervision import depth_limit
+from sightline.robot.kinematics.designs import Design
 from sightline.robot.kinematics.target import PlanIdentity, Registration, RobotTarget
 from sightline.robot.link.client import RobotClient
 
@@ -51,6 +52,11 @@ class DemoPlan:
     def robot(self) -> Rehearsal:
         """The patient of a procedure WITH_ROBOT, with the robot."""
         return cast("Rehearsal", self.rehearsal)
+
+    @property
+    def arm(self) -> Design:
+        """The design of the robot; the manipulator's where none drills."""
+        return getattr(self.rehearsal, "arm", "manipulator")
 
     @property
     def key(self) -> str:

@@ -43,7 +43,7 @@ _DEPTH = (
 )
 _PLOT_PX = 400.0  # about the panel's width, so that its text is as large as the panel's [ours]
 _SHORT_MM = PLAN_SD_MM  # from here on a wire is short of its planned depth
-_RETRACTABLE = tuple(state.value for state in (State.DONE, State.STOP, State.ALIGNED, State.PAUSED))
+_RETRACTABLE = tuple(state.value for state in (State.DONE, State.STOP, State.ALIGNED, State.PAUSED, State.GUIDE))
 
 
 def key(tab: Tab) -> Hashable:
@@ -111,7 +111,7 @@ def _robot(tab: Tab) -> None:
             confirmed_action(
                 tab,
                 "Retract",
-                "Retract: if the wire is to stay in the bone, open the chuck first. Is it open?",
+                texts.GUIDE_BACK if tab.session.drilling.by_hand else texts.RETRACT,
                 session.retract,
                 "retract",
                 enabled=not now.activity,
@@ -140,13 +140,14 @@ def _unlinked(tab: Tab) -> None:
 
 
 def how_deep(planning: Planning) -> str:
-    """Return how deep the wire was drilled, as text: a drill that is to pass a far cortex stops behind it. Of a robot
-    that tells no depth only its own word is known."""
+    """Return how deep the wire was drilled, as text: a drill that is to pass a far cortex stops behind it."""
     assert planning.drilled is not None  # noqa: S101
     assert planning.sent is not None  # noqa: S101 - what is drilled was sent
     plan, told_mm = planning.sent.plan, planning.drilled.record.depth_mm
     planned_mm = plan.trajectory.length_mm + plan.kind.limits.beyond_mm
-    short = planned_mm - float(told_mm.max()) if len(told_mm) else 0.0
+    if not len(told_mm):
+        return texts.DRILLED_BY_HAND
+    short = planned_mm - float(told_mm.max())
     return (
         "Drilled to the planned depth. Verify the wire in two check images."
         if short < _SHORT_MM
@@ -186,6 +187,8 @@ def _depth(tab: Tab) -> Markup:
 
     session, now = tab.session.drilling.session, tab.session.drilling.now
     if session is None or now is None or session.target is None or session.depth_limit_mm is None:
+        return Markup()
+    if tab.session.drilling.by_hand:  # it knows no depth
         return Markup()
     end = session.target.depth_mm
     touched = next((event.depth_mm for event in session.record.events if event.name == EventKind.CORTEX.value), 0.0)
@@ -258,12 +261,9 @@ def build_next(tab: Tab) -> None:
         )
     elif state == State.ALIGNED.value:
         drill = partial(drilling.drill, State.ALIGNED)
-        question = (
-            f"Drill: the wire rotates and advances into the bone, to {left:.0f} mm before its "
-            "planned depth. Does the sleeve stand on the bone, and does the confirmation shot "
-            "show the guide on the plan?"
-        )
-        confirmed_action(tab, texts.DRILL, question, drill, "drill", enabled=ready)
+        by_hand = drilling.by_hand
+        question = texts.HOLD_QUESTION if by_hand else texts.DRILL_QUESTION.format(left=left)
+        confirmed_action(tab, texts.HOLD if by_hand else texts.DRILL, question, drill, "drill", enabled=ready)
     elif state == State.PAUSED.value:
         drill = partial(drilling.drill, State.PAUSED)
         question = f"Continue drilling: the last {left:.0f} mm. Does the second shot show the wire on the plan?"
@@ -274,16 +274,13 @@ def build_next(tab: Tab) -> None:
         confirmed_action(
             tab,
             texts.ALIGN,
-            (
-                "Align: the wire retracts into its sleeve, then the whole arm moves. Is its path "
-                "clear of people, table and C-arm?"
-            ),
+            texts.ALIGN_GUIDE_QUESTION if drilling.by_hand else texts.ALIGN_QUESTION,
             drilling.align,
             "align",
             enabled=ready,
         )
     else:
-        _send(tab, enabled=idle and state != State.DONE.value)
+        _send(tab, enabled=idle and state not in (State.DONE.value, State.GUIDE.value))
 
 
 def _left_mm(session: "RobotSession | None") -> float:

@@ -18,7 +18,7 @@ from sightline.case.watch.analyser import BLIND_TO
 from sightline.common.checks import failed
 from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.planning.check.result import MIN_LANDMARKS
-from sightline.planning.check.shot import ALIGNED, PAUSED, TURNED_AWAY, DrillShot
+from sightline.planning.check.shot import ALIGNED, NO_WIRE, PAUSED, TURNED_AWAY, DrillShot
 
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched
@@ -82,6 +82,9 @@ def build(tab: Tab) -> None:
     if now is None or now.lost or now.state not in (ALIGNED, PAUSED):
         return
     heading(texts.SHOT_HEADINGS[now.state])
+    if tab.session.drilling.by_hand:
+        note(NO_WIRE, kind="quiet", testid="no-wire")
+        return
     if shots.on_patient:
         note("The frame is fixed to the patient, as a person stated.", kind="quiet", testid="on-patient")
     if not shots.state:

@@ -157,4 +157,4 @@ class Space:
             return
         joints, robot = np.round(now.joints, 3), session.robot.manipulator
         where = robot.T_mcs_cfcs(session.imaged_q)
-        self._group("robot", joints.tobytes(), lambda: space.robot_objects(robot, joints[:5], where))
+        self._group("robot", joints.tobytes(), lambda: space.robot_objects(robot, joints, where))

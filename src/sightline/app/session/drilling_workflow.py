@@ -50,6 +50,11 @@ class DrillingWorkflow:
         """The robot's current state."""
         return None if self.session is None else self.session.now
 
+    @property
+    def by_hand(self) -> bool:
+        """Whether the robot holds a guide, through which a person drills."""
+        return self.session is not None and not self.session.robot.manipulator.has_feed
+
     async def start_robot(self, *, fast: bool) -> None:
         """Start the simulated robot of the rehearsed patient in a separate process, posed as at the images.
 
@@ -76,10 +81,11 @@ class DrillingWorkflow:
             from sightline.rehearsal.process import RobotProcess
             from sightline.rehearsal.rehearsal import robot_at
 
-            process = RobotProcess(patient.seed, patient.frame, patient.side, patient.procedure, virtual=fast)
+            of = patient.seed, patient.frame, patient.side, patient.procedure, patient.arm
+            process = RobotProcess(*of, virtual=fast)
             try:
                 return process, RobotSession(
-                    robot_at(patient.procedure, patient.side, Frame.load(patient.frame)),
+                    robot_at(patient.procedure, patient.side, Frame.load(patient.frame), patient.arm),
                     process.port,
                     lambda: loop.call_soon_threadsafe(notify) and None,
                 )
@@ -167,7 +173,8 @@ class DrillingWorkflow:
         await session.align()
 
     async def drill(self, since: State) -> None:
-        """Drill from ALIGNED to the pause, or from PAUSED to the end. `since`: the state in which the person confirmed.
+        """Drill from ALIGNED to the pause, or from PAUSED to the end, or hold the guide while a person drills. `since`:
+        the state in which the person confirmed.
 
         Raises RobotRefusedError, LinkError, CaseError."""
         session = self._running()

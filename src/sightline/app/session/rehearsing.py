@@ -19,6 +19,7 @@ from sightline.planning.procedures import kind as kind_of
 
 if TYPE_CHECKING:
     from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.robot.kinematics.designs import Design
     from sightline.robot.link.record import SimulatedWire
 
 
@@ -27,18 +28,18 @@ HIP, NAIL = "hip", "nail"  # what a patient has who is of a procedure at the hip
 
 @dataclass(frozen=True)
 class Patient:
-    """The simulated patient of a rehearsal: `Rehearsal.draw(seed, Frame.load(frame), side, procedure)`."""
+    """The simulated patient of a rehearsal: `Rehearsal.draw(seed, Frame.load(frame), side, procedure, arm)`."""
 
     seed: int
     frame: str = "gamma"
     side: str = "right"
     procedure: str = "hip-screw"
+    arm: "Design" = "manipulator"
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "Patient":
-        """Return the patient from JSON types; earlier versions knew those of a hip screw only."""
-        procedure = str(document.get("procedure", Patient.procedure))
-        return Patient(int(document["seed"]), str(document["frame"]), str(document["side"]), procedure)
+        """Return the patient from JSON types; earlier versions knew those of a hip screw, and one arm, only."""
+        return Patient(**{key: document[key] for key in Patient.__match_args__ if key in document})
 
 
 @lru_cache(maxsize=1)
@@ -46,7 +47,7 @@ def rehearsal_of(patient: Patient) -> "Rehearsal":
     """Return the patient's rehearsal, drawn once in a process."""
     from sightline.rehearsal.rehearsal import Rehearsal
 
-    return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side, patient.procedure)
+    return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side, patient.procedure, patient.arm)
 
 
 def images(patient: Patient, names: Sequence[str] = NAMES) -> dict[str, bytes]:

@@ -18,7 +18,7 @@ from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.planning import Plan
 from sightline.planning.points.results import SpacePoints
-from sightline.rehearsal.operation import target_of
+from sightline.rehearsal.operation import await_hand, target_of
 from sightline.robot import contract
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, NDArray, Sensor
@@ -33,7 +33,12 @@ _STOPS = 4  # [ours] STOPs that may be in progress at once; a further press wait
 _STOPPED = "the robot was told to stop: align again, or retract the wire"
 _IDLE_S = 0.02  # polling period of the command queue
 _NOTIFIED = ("state", "fault", "activity", "last_error", "lost", "zero")  # notify pages; they poll the rest
-_MOTIONS = {"aligning": State.ALIGN, "drilling": State.DRILL, "retracting": State.RETRACT}  # by activity
+_MOTIONS = {
+    "aligning": State.ALIGN,
+    "drilling": State.DRILL,
+    "holding the guide": State.GUIDE,
+    "retracting": State.RETRACT,
+}  # by activity
 _MAX_SIGMA = 3.0  # largest difference in combined standard deviations; three in a thousand shots exceed it [ours]
 
 
@@ -144,9 +149,19 @@ class RobotSession:
     async def drill(self, since: State) -> str:
         """Drill from ALIGNED to the pause, or from PAUSED to the end; return the state at the end.
 
-        `since`: the state in which the person confirmed. Raises RobotRefusedError if the robot has left it, LinkError.
+        An arm without a feed holds its guide until the simulated person has drilled. `since`: the state in which the
+        person confirmed. Raises RobotRefusedError if the robot has left it, LinkError.
         """
-        return await self._do("drilling", lambda client: client.drill(), since)
+        target = self.target
+        if target is None or self.robot.manipulator.has_feed:
+            return await self._do("drilling", lambda client: client.drill(), since)
+
+        def command(client: RobotClient) -> str:
+            client.guide()
+            await_hand(client, target)
+            return State.DONE.value
+
+        return await self._do("holding the guide", command, since)
 
     def refuse_shot(self, depth_mm: float, error_95_mm: float) -> None:
         """Raise RobotRefusedError if a depth measured in the second shot contradicts the robot's depth, or was already

@@ -56,10 +56,10 @@ class Shots:
 
     @property
     def state(self) -> str:
-        """The robot's state while it waits for a shot; empty at other times, and with plates on the arm, which turn
-        away."""
+        """The robot's state while it waits for a shot; empty at other times, with plates on the arm, which turn away,
+        and while a guide holds no wire."""
         turned = self._planning.frame.solid is None and not self.on_patient
-        return "" if turned else self._waiting
+        return "" if turned or self._drilling.by_hand else self._waiting
 
     @property
     def _waiting(self) -> str:

@@ -25,6 +25,7 @@ ROBOT_SOURCES = {
     "compliance": "what weight and thrust bend, which encoders cannot see",
     "drill_axis": "where the wire sits on the flange",
     "skiving": "what an oblique cortex bends the wire",
+    "sleeve": "play of a wire that a person drills through a guide, and the depth as it is read",
     "depth_zero": "by how much contact with the bone shifts the zero of depth",
 }
 
@@ -188,8 +189,8 @@ def _figures(of: dict[str, Any]) -> tuple[str, str, str]:
 def _sources(target: RobotTarget) -> list[tuple[str, str, str, str]]:
     """Rms error of each of the robot's own sources at entry and tip, and what it is."""
     rows = []
-    for source, meaning in ROBOT_SOURCES.items():
+    for source in filter(target.budget_mm2.__contains__, ROBOT_SOURCES):
         square = target.budget_mm2[source]
         rms = (np.sqrt(np.trace(square[:3, :3])), np.sqrt(np.trace(square[3:, 3:])))
-        rows.append((source.replace("_", " "), *(f"{value:.3f}" for value in rms), meaning))
+        rows.append((source.replace("_", " "), *(f"{value:.3f}" for value in rms), ROBOT_SOURCES[source]))
     return rows

@@ -37,6 +37,9 @@ TURNED_AWAY = (
     "This shot cannot be measured: the frame has turned away with the arm, and its beads no longer tell where the bone "
     "is. Compare wire and plan by eye; the decision is yours."
 )
+NO_WIRE = (
+    "This shot is not measured: no wire is in the guide yet. Compare guide and plan by eye; the decision is yours."
+)
 MIN_TIP_MM = 1.0  # nearer to the entry, the tip says nothing of the line's direction [ours]
 MAX_DEPTH_MM = 3.0  # a robot refuses a measured depth that is further from its own [docs/robot-link.md]
 _WORDS = {"go": "GO", "no-go": "STOP", "incomplete": "INCOMPLETE"}

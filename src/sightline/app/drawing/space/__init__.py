@@ -35,6 +35,7 @@ PICTURE_CELLS = 16  # [calc] across a plate; a pincushion distortion of 5 % devi
 PICTURE_PERCENTILES = (1.0, 99.0)  # shown as black and white
 ROUND_DECIMALS = 2  # 0.01 mm is less than a pixel of the scene
 TOOL_RADIUS_MM = 2.5  # [calc] twice that of a guide wire of 2.5 mm, for visibility
+GUIDE_RADIUS_MM = 8.0  # of a drill guide and its holder, as they are drawn [ours]
 PART_SHARE = 0.4  # of the radius for the collision check: the parts as they look, without the clearance [ours]
 WIRE_BEHIND_MM = 200.0  # drawn behind the tip on the robot: the length of the wire [paper]
 # Length of the drawn axes of CFCS, between wire and plates, and distance of the side labels from the hip, beside it and
@@ -151,22 +152,27 @@ def rehearsed_bone(patient: Patient) -> list[Object]:
 
 
 def robot_objects(robot: Manipulator, q: np.ndarray, T_mcs_cfcs: RigidTransform) -> list[Object]:
-    """Return the arm at its joints (n,): the middle lines of its parts, and its wire.
+    """Return the arm at its joints (n,): its parts, and its wire, or the guide that it holds.
 
     `T_mcs_cfcs`: the registration, pose of CFCS (the frame as imaged) in MCS.
     """
     to_cfcs, tool = T_mcs_cfcs.inv(), robot.T_mcs_tool(q)
-    made: list[Object] = [
-        {
-            **_cylinder(to_cfcs.apply(ends[0]), to_cfcs.apply(ends[1]), PART_SHARE * part.radius_mm, "robot"),
-            "reach": "room",
-        }
-        for part, ends in zip(robot.parts, part_axes(robot, q[None], robot.parts)[0], strict=True)
-        if np.linalg.norm(ends[1] - ends[0]) > 1e-6
-    ]
+    lines = to_cfcs.apply(part_axes(robot, q[None], robot.parts)[0].reshape(-1, 3)).reshape(-1, 2, 3)
+    made: list[Object] = []
+    for part, ends in zip(robot.parts, lines, strict=True):
+        radius = PART_SHARE * part.radius_mm
+        if np.linalg.norm(ends[1] - ends[0]) > 1e-6:
+            made.append(_cylinder(ends[0], ends[1], radius, "robot"))
+        made.append({"kind": "spheres", "style": "robot", "at": _list(ends), "radius": radius})
     if robot.has_feed:
-        back, tip = to_cfcs.apply(tool.apply([[0.0, 0.0, -WIRE_BEHIND_MM], [0.0, 0.0, 0.0]]))
-        made.append({**_cylinder(back, tip, TOOL_RADIUS_MM, "tool"), "reach": "room"})
+        behind_mm, radius = WIRE_BEHIND_MM, TOOL_RADIUS_MM
+    else:
+        behind_mm, radius = robot.guide_mm, GUIDE_RADIUS_MM
+        flange = to_cfcs.apply(robot.T_mcs_flange(q).translation)
+        made.append(_cylinder(flange, to_cfcs.apply(tool.apply([0.0, 0.0, -behind_mm])), GUIDE_RADIUS_MM, "robot"))
+    back, tip = to_cfcs.apply(tool.apply([[0.0, 0.0, -behind_mm], [0.0, 0.0, 0.0]]))
+    made.append(_cylinder(back, tip, radius, "tool"))
+    made = [{**part, "reach": "room"} for part in made]
     return [*made, _label(to_cfcs.apply(np.zeros(3)), "robot", "robot")]
 
 
