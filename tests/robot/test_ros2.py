@@ -1,7 +1,9 @@
 """The adapter for ros2_control, alone and behind the link, against a controller of ROS 2 in another process."""
 
 import re
+import time
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from benchmarks.arm_peers import (
     ros2_follow,
     ros2_linked,
 )
+from scipy.spatial.transform import Rotation
 from tests.robot.test_franka import going
 
 from sightline.errors import RobotRefusedError
@@ -58,6 +61,45 @@ def test_an_arm_behind_the_link_brings_its_guide_to_the_plan_and_holds_it() -> N
         assert off_mm < 0.05
         assert off_deg < 0.02
         assert linked.client.status().text.startswith("GUIDE")
+
+
+def test_guide_target_and_verdict_are_published_in_metres() -> None:
+    import rclpy
+    from geometry_msgs.msg import PoseStamped
+    from std_msgs.msg import String
+
+    from sightline.cli.robot import served_poses
+    from sightline.robot.arms.ros2_poses import Ros2Poses
+
+    received: dict[str, Any] = {}
+    with patient(), ros2_linked() as (_, linked), Ros2Poses(NAMESPACE, partial(served_poses, linked.machine)):
+        context = rclpy.Context()
+        context.init()
+        node = rclpy.create_node("listener", context=context)
+        executor = rclpy.executors.SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        for name, kind in (("tool", PoseStamped), ("target", PoseStamped), ("status", String)):
+            keep = partial(received.__setitem__, name)
+            node.create_subscription(kind, f"{NAMESPACE}/sightline/{name}", keep, 1)
+        ends_s = time.monotonic() + arm_peers.PATIENCE_S
+        while len(received) < 3 and time.monotonic() < ends_s:
+            executor.spin_once(timeout_sec=1.0)
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+        manipulator, q = linked.robot.manipulator, linked.machine.q
+    T_mcs_cfcs = manipulator.T_mcs_cfcs(linked.home)
+    expected = {"tool": manipulator.T_mcs_tool(q).translation, "target": T_mcs_cfcs.apply(arm_peers.END_MM)}
+    for name, at_mm in expected.items():
+        header, pose = received[name].header, received[name].pose
+        assert header.frame_id == "base_link"
+        place = pose.position
+        # Of the arm at rest, or as the inverse finds it.
+        np.testing.assert_allclose(1000 * np.array([place.x, place.y, place.z]), at_mm, atol=0.01)
+    turn = received["target"].pose.orientation
+    along = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(along, T_mcs_cfcs.rotation.apply(linked.along), atol=1e-6)
+    assert received["status"].data == "TARGETING; no plan"
 
 
 @pytest.mark.parametrize(

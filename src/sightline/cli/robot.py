@@ -4,6 +4,7 @@ import math
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
     from sightline.case.interop.plan_file import PlanFile
     from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.robot.arms.ros2_poses import Served
     from sightline.robot.control.insertion import Setup
+    from sightline.robot.control.machine import Machine
     from sightline.robot.kinematics.measured import FlangePose, RobotFile
     from sightline.robot.kinematics.target import Registration
     from sightline.robot.link.server import RobotServer
@@ -218,7 +221,24 @@ def _arm_server(stack: ExitStack, served: ServedArm, arm: Controlled, listening:
     start = start_of(robot.manipulator, known.side)
     plant = StreamedArm(stack.enter_context(connect(arm, address, robot.manipulator, start)))
     controller = Controller(robot, plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
+    if arm == "ros2":
+        from sightline.robot.arms.ros2_poses import Ros2Poses
+
+        stack.enter_context(Ros2Poses(address, partial(served_poses, controller.machine)))
     return RobotServer(controller, plant, host=listening.host, port=listening.port)
+
+
+def served_poses(machine: "Machine") -> "Served":
+    """Return tool and target of a served arm, its state, and the target's plan with its verdict."""
+    from sightline.robot.arms.ros2_poses import Served
+
+    insertion, manipulator = machine.insertion, machine.robot.manipulator
+    tool, state = manipulator.T_mcs_tool(machine.q), machine.state.value
+    if insertion is None:
+        return Served(tool, None, state)
+    plan = insertion.identity
+    verdict = "no plan" if plan is None else f"plan {plan.plan}: {'GO' if plan.go else 'NO-GO'}"
+    return Served(tool, insertion.T_mcs_cfcs * insertion.T_cfcs_wire(manipulator), f"{state}; {verdict}")
 
 
 def _confirmed(known: "RobotFile", where: str) -> "Setup":
