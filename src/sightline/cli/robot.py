@@ -157,7 +157,7 @@ def serve(
         ),
     ] = False,
 ) -> None:
-    """Run a simulated robot, or a real arm behind the robot's link, until Ctrl-C.
+    """Run a simulated robot, or a real arm, until Ctrl-C.
 
     The simulated wire moves in air, or with --rehearse in a simulated bone. A real arm needs its robot file; a person
     confirms the set-up, and the arm moves when a client of the link commands it.
