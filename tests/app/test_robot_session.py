@@ -301,7 +301,7 @@ def test_the_bar_of_the_depth_begins_before_all_its_marks(cortex_mm: float, limi
     event = SimpleNamespace(name="cortex", depth_mm=cortex_mm)
     target = SimpleNamespace(depth_mm=26.0, limits=limits)
     session = SimpleNamespace(target=target, depth_limit_mm=27.0, record=SimpleNamespace(events=[event]))
-    drilling = SimpleNamespace(session=session, now=SimpleNamespace(depth_mm=-2.0))
+    drilling = SimpleNamespace(session=session, now=SimpleNamespace(depth_mm=-2.0), by_hand=False)
     tab: Any = SimpleNamespace(session=SimpleNamespace(drilling=drilling))
     html = _depth(tab)
     at = [float(left) for left in re.findall(r'<b style="left:([\d.]+)%"', html)]

@@ -41,7 +41,10 @@ def waiting(tmp_path: Path) -> Iterator[tuple[Planning, Any]]:
     with Case.create(tmp_path) as case:
         now = SimpleNamespace(state=ALIGNED, lost=False, activity="")
         nobody: Any = None
-        yield Planning(case, "gamma", nobody, Jobs()), SimpleNamespace(now=now, held=None, session=None, changed="")
+        yield (
+            Planning(case, "gamma", nobody, Jobs()),
+            SimpleNamespace(now=now, held=None, session=None, changed="", by_hand=False),
+        )
 
 
 def test_plates_are_measured_once_a_person_says_that_they_left_the_arm(waiting: tuple[Planning, Any]) -> None:

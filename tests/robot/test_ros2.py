@@ -68,11 +68,11 @@ def test_guide_target_and_verdict_are_published_in_metres() -> None:
     from geometry_msgs.msg import PoseStamped
     from std_msgs.msg import String
 
-    from sightline.cli.robot import served_poses
+    from sightline.cli.robot import published_poses
     from sightline.robot.arms.ros2_poses import Ros2Poses
 
     received: dict[str, Any] = {}
-    with patient(), ros2_linked() as (_, linked), Ros2Poses(NAMESPACE, partial(served_poses, linked.machine)):
+    with patient(), ros2_linked() as (_, linked), Ros2Poses(NAMESPACE, partial(published_poses, linked.machine)):
         context = rclpy.Context()
         context.init()
         node = rclpy.create_node("listener", context=context)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sightline.case.interop.plan_file import PlanFile
     from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.rehearsal.rehearsal import Rehearsal
-    from sightline.robot.arms.ros2_poses import Served
+    from sightline.robot.arms.ros2_poses import PublishedPoses
     from sightline.robot.control.insertion import Setup
     from sightline.robot.control.machine import Machine
     from sightline.robot.kinematics.measured import FlangePose, RobotFile
@@ -224,21 +224,21 @@ def _arm_server(stack: ExitStack, served: ServedArm, arm: Controlled, listening:
     if arm == "ros2":
         from sightline.robot.arms.ros2_poses import Ros2Poses
 
-        stack.enter_context(Ros2Poses(address, partial(served_poses, controller.machine)))
+        stack.enter_context(Ros2Poses(address, partial(published_poses, controller.machine)))
     return RobotServer(controller, plant, host=listening.host, port=listening.port)
 
 
-def served_poses(machine: "Machine") -> "Served":
+def published_poses(machine: "Machine") -> "PublishedPoses":
     """Return tool and target of a served arm, its state, and the target's plan with its verdict."""
-    from sightline.robot.arms.ros2_poses import Served
+    from sightline.robot.arms.ros2_poses import PublishedPoses
 
     insertion, manipulator = machine.insertion, machine.robot.manipulator
     tool, state = manipulator.T_mcs_tool(machine.q), machine.state.value
     if insertion is None:
-        return Served(tool, None, state)
+        return PublishedPoses(tool, None, state)
     plan = insertion.identity
     verdict = "no plan" if plan is None else f"plan {plan.plan}: {'GO' if plan.go else 'NO-GO'}"
-    return Served(tool, insertion.T_mcs_cfcs * insertion.T_cfcs_wire(manipulator), f"{state}; {verdict}")
+    return PublishedPoses(tool, insertion.T_mcs_cfcs * insertion.T_cfcs_wire(manipulator), f"{state}; {verdict}")
 
 
 def _confirmed(known: "RobotFile", where: str) -> "Setup":

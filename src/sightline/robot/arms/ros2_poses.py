@@ -15,7 +15,7 @@ PERIOD_S = 0.1  # as displays need it [ours]
 BASE = "base_link"  # [src: REP-105's name of a robot's own frame, and UR's and Franka's drivers]
 
 
-class Served(NamedTuple):
+class PublishedPoses(NamedTuple):
     """`tool`: pose of the guide's mouth, `target`: of the wire's tip at the plan's end; MCS, +z along the wire."""
 
     tool: RigidTransform
@@ -27,7 +27,7 @@ class Ros2Poses(Closing):
     """Publishes what `read` returns, ten times a second until it is closed: `namespace`/sightline/tool, target, status;
     poses in m, in the arm's base (BASE)."""
 
-    def __init__(self, namespace: str, read: Callable[[], Served]) -> None:
+    def __init__(self, namespace: str, read: Callable[[], PublishedPoses]) -> None:
         self._read, self._ended = read, Event()
         self._context = rclpy.Context()
         self._context.init()
@@ -48,11 +48,11 @@ class Ros2Poses(Closing):
 
     def _run(self) -> None:
         while not self._ended.wait(PERIOD_S):
-            served = self._read()
-            self._publishers["tool"].publish(self._pose(served.tool))
-            if served.target is not None:
-                self._publishers["target"].publish(self._pose(served.target))
-            self._publishers["status"].publish(String(data=served.status))
+            poses = self._read()
+            self._publishers["tool"].publish(self._pose(poses.tool))
+            if poses.target is not None:
+                self._publishers["target"].publish(self._pose(poses.target))
+            self._publishers["status"].publish(String(data=poses.status))
 
     def _pose(self, pose: RigidTransform) -> PoseStamped:
         message = PoseStamped()
