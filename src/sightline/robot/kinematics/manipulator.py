@@ -21,8 +21,8 @@ _SLACK = 1e-9  # rounding allowed beyond a joint limit, mm or rad
 # Starts of the inverse, spread over the joints' range, and the largest change of an angle in one iteration [ours]:
 # benchmarks/bench_arm.py counts what they find.
 _STARTS, _MAX_STEP_RAD = 32, 0.5
-# Rotations about the wire that are tried where something is in the way [ours]: to the last the robot's errors grow by up
-# to 9 % [calc].
+# Rotations about the wire that are tried where something is in the way [ours]: to the last, errors grow by up to 9 %
+# [calc].
 _TURN_RAD, _TURNS = float(np.deg2rad(15.0)), 4
 LEVER_MM = 300.0  # [ours] weighs an angle against a length: about the distance from the wrist to the tip
 # [ours] smallest singular value of the wire's motion per joint motion, with angles times LEVER_MM; below it joints must
