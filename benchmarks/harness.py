@@ -54,7 +54,7 @@ class Rows(list[Row]):
     ) -> None:  # fmt: skip
         """Add one or several numbers, all of which must be at most `most` and at least `least`."""
         numbers = np.atleast_1d(values)
-        low, high = (f"{round(limit, 4):g}" for limit in (least, most))
+        low, high = (f"{limit:.5g}" for limit in (least, most))
         asked = f"{low}-{high}" if np.isfinite([least, most]).all() else f"<= {high}" if most < np.inf else ""
         asked = asked or (f">= {low}" if least > -np.inf else "")
         met = bool(((numbers >= least) & (numbers <= most)).all()) if asked else None
