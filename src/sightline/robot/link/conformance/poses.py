@@ -306,6 +306,8 @@ def _holds_still(talk: Conversation) -> str:
 
 def _states_its_depth(talk: Conversation) -> str:
     talk.require(contract.HAS_DRILLING)
+    if contract.HAS_GUIDE in talk.robot.capabilities:
+        raise UnsupportedError(f"announces {contract.HAS_GUIDE}: a person drills, and it knows no depth")
     talk.require(contract.HAS_TELEMETRY)
     target = _aligned(talk)
     depth_mm, sd_mm = (_value(talk.robot.connection.fresh(name)) for name in (contract.DEPTH, contract.DEPTH_SD))
