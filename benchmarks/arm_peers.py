@@ -273,9 +273,9 @@ def ros2_commander() -> float:
         with program("arm_peers", "ros2") as (commander, _):
             time.sleep(1.0)
             commander.kill()
-        time.sleep(0.5)
+        time.sleep(1.0)
         log = ended(process)
-    assert _moved(log, log["time_s"][-1] - 0.1)[1] == 0, "the arm moves"
+    assert _moved(log, log["rests_s"][-1] + 0.1)[1] < REACHED, "the arm moves"  # ten times its lag
     return float(log["rests_s"][-1] - log["came_s"][-1])
 
 
