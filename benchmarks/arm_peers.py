@@ -186,7 +186,7 @@ def patient(late_s: float = PATIENCE_S, watchdog_s: float = PATIENCE_S) -> Itera
     """Let samples and cycles be late, and joints off their course: on a busy machine a process may stand still for
     longer than the robot waits."""
     limits = {"arms.ros2.LATE_S": late_s, "control.machine.WATCHDOG_S": watchdog_s}
-    limits |= {"arms.adapter.START_RAD": 0.2, "control.course.MOVING_LIMIT_RAD": 0.2}
+    limits |= {"arms.adapter.START_RAD": 0.2, "arms.adapter.START_MM": 50.0, "control.course.MOVING_LIMIT_RAD": 0.2}
     with ExitStack() as stack:
         for name, value in limits.items():
             stack.enter_context(patch(f"sightline.robot.{name}", value))
