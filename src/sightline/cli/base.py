@@ -184,8 +184,9 @@ FrameSource = Annotated[
     str, typer.Argument(metavar="FRAME", help="A frame file, or a built-in frame: gamma, biplane, stereo, block60, ...")
 ]
 Rehearsed = Literal["hip-screw", "cannulated-hip-screws", "free-wire", "distal-interlocking"]
+Twin = Literal["manipulator", "six-axis", "seven-axis"]  # the simulated arms: `Design`, whose import takes long
 Arm = Annotated[
-    Literal["manipulator", "six-axis", "seven-axis"],
+    Twin,
     typer.Option(help="The arm: ours feeds the wire, the others hold the guide while a person drills."),
 ]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from sightline.cli.base import Arm, FrameName, Output, Rehearsed, Side, as_json, command, group, parse_address
+from sightline.cli.base import Arm, FrameName, Output, Rehearsed, Side, Twin, as_json, command, group, parse_address
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,7 +36,6 @@ _DRY_RUN = (
 )
 Address = Annotated[str, typer.Argument(metavar="HOST:PORT", help="Address of the robot.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Answer yes to every question; simulators only.")]
-Twin = Literal["manipulator", "six-axis", "seven-axis"]
 Controlled = Literal["sim", "franka", "ros2"]
 
 
@@ -255,13 +254,13 @@ def _confirmed(known: "RobotFile", where: str) -> "Setup":
     mounted = typer.confirm("Does the frame stay on the flange while the arm moves? A block comes off.", err=True)
     hip_mm = (0.0, 0.0, 0.0)
     if not mounted:
-        said = typer.prompt("Where does the hip lie in the frame's coordinates, to 10 mm (x y z, mm)?", err=True)
+        place = typer.prompt("Where does the hip lie in the frame's coordinates, to 10 mm (x y z, mm)?", err=True)
         try:
-            x, y, z = map(float, str(said).split())
+            x, y, z = map(float, str(place).split())
         except ValueError:
             x = y = z = math.nan
         if not math.isfinite(x + y + z):
-            raise UnusableInputError(f"{said!r} is not a place: give three numbers, as 0 77 -22")
+            raise UnusableInputError(f"{place!r} is not a place: give three numbers, as 0 77 -22")
         hip_mm = (x, y, z)
     away = typer.confirm("Is the C-arm drawn back before the arm moves?", err=True)
     return Setup(

@@ -80,3 +80,9 @@ def checked(
         begin, at = positions[0, worst], q[worst]
         raise RobotRefusedError(f"{joints[worst]} is at {at:.4f}, and the trajectory begins at {begin:.4f}")
     return CubicHermiteSpline(time_s, positions, velocities)
+
+
+def decelerated(path: CubicHermiteSpline, since_s: float) -> CubicHermiteSpline:
+    """Return the path (n,) over time from where `path` is after `since_s`, at its pace there, to rest after HOLD_S."""
+    q, pace = path(since_s), path(since_s, 1)
+    return CubicHermiteSpline([0.0, HOLD_S], np.stack([q, q + HOLD_S / 2 * pace]), np.stack([pace, 0 * pace]))

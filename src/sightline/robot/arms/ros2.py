@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState  # pyright: ignore[reportMissingImports]
 from trajectory_msgs import msg  # pyright: ignore[reportMissingImports]
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.arms.adapter import HOLD_S, START_MM, START_RAD, JointTrajectory, checked
+from sightline.robot.arms.adapter import START_MM, START_RAD, JointTrajectory, checked, decelerated
 from sightline.robot.contract import STATUS_S
 from sightline.robot.plant import PlantFlag, Reading
 
@@ -99,9 +99,7 @@ class Ros2Arm:
         with self._lock:
             path, since_s = self._path, monotonic() - self._sent_s
         if path is not None and since_s < path.x[-1]:
-            q, pace = path(since_s), path(since_s, 1)
-            rest = np.stack([q, q + HOLD_S / 2 * pace])
-            self._send(CubicHermiteSpline(np.array([0.0, HOLD_S]), rest, np.stack([pace, 0 * pace])))
+            self._send(decelerated(path, since_s))
 
     def _heard(self, message: JointState) -> None:
         try:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from sightline.robot.arms.adapter import HOLD_S, JointTrajectory, checked
+from sightline.robot.arms.adapter import JointTrajectory, checked, decelerated
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.plant import PlantFlag, Reading
 
@@ -16,7 +16,7 @@ class SimulatedArm:
 
     def __init__(self, robot: Manipulator, q: np.ndarray, clock: Callable[[], float] = time.monotonic) -> None:
         self.joints, self._rotary, self._clock = robot.joints, robot.rotary, clock
-        self._begin(np.array([0.0, 1.0]), np.stack([q, q]), np.zeros((2, robot.count)))
+        self._begin(CubicHermiteSpline([0.0, 1.0], np.stack([q, q]), np.zeros((2, robot.count))))
 
     def state(self) -> Reading:
         """See ArmAdapter."""
@@ -25,19 +25,20 @@ class SimulatedArm:
 
     def follow(self, trajectory: JointTrajectory) -> None:
         """See ArmAdapter."""
-        path = checked(trajectory, self.joints, self._at(self._clock()), self._rotary)
-        self._begin(path.x, path(path.x), path(path.x, 1))
+        self._begin(checked(trajectory, self.joints, self._at(self._clock()), self._rotary))
 
     def hold(self) -> None:
         """See ArmAdapter."""
-        q, pace = self._at(self._clock()), self._at(self._clock(), 1)
-        self._begin(np.array([0.0, HOLD_S]), np.stack([q, q + HOLD_S / 2 * pace]), np.stack([pace, 0 * pace]))
+        self._begin(decelerated(self._path, self._since_s(self._clock())))
 
     def close(self) -> None:
         """See ArmAdapter."""
 
-    def _begin(self, time_s: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> None:
-        self._path, self._begun_s = CubicHermiteSpline(time_s, positions, velocities), self._clock()
+    def _begin(self, path: CubicHermiteSpline) -> None:
+        self._path, self._begun_s = path, self._clock()
 
-    def _at(self, now_s: float, derivative: int = 0) -> np.ndarray:
-        return self._path(min(now_s - self._begun_s, float(self._path.x[-1])), derivative)
+    def _at(self, now_s: float) -> np.ndarray:
+        return self._path(self._since_s(now_s))
+
+    def _since_s(self, now_s: float) -> float:
+        return min(now_s - self._begun_s, float(self._path.x[-1]))
