@@ -22,11 +22,12 @@ from benchmarks import gvxr
 from benchmarks.harness import Rows, rms
 from sightline.frame import Frame
 from sightline.twin import Scene, draw_setup
-from sightline.twin.objects.beam import WEIGHTS, attenuation_per_mm
 from sightline.twin.objects.things import Ball
-from sightline.twin.objects.volumes import Volume
-from sightline.twin.xray.projector import MESH_SUB, Rays, mesh_lengths, volume_integral
+from sightline.twin.xray.projector import MESH_SUB, mesh_lengths
 from sightline.twin.xray.render import pixel_rays, primary
+from sightline.volumes.beam import WEIGHTS, attenuation_per_mm
+from sightline.volumes.rays import Rays, volume_integral
+from sightline.volumes.volume import Volume
 
 MAX_S, MAX_MB, MAX_SHARE = 0.6, 1000.0, 0.01
 MAX_SMALL_S = 0.2  # 256³ voxels to 512²

@@ -18,8 +18,8 @@ from sightline.errors import UnusableInputError
 from sightline.frame.tables import frame_from_csv, read_measurements
 from sightline.imaging import frames_in
 from sightline.studies.assess import read_points
-from sightline.twin.objects.meshes import read_mesh
-from sightline.twin.objects.volumes import read_ct
+from sightline.volumes.ct import read_ct
+from sightline.volumes.meshes import read_mesh
 
 READERS: dict[str, Callable[[Path], object]] = {
     "image.dcm": sl.read_image,

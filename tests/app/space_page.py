@@ -25,7 +25,7 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning import kind, plan
 from sightline.robot.kinematics.designs import YAW, imaging_yaw, nominal_manipulator
-from sightline.twin.objects.volumes import Volume
+from sightline.volumes.volume import Volume
 
 HOSTILE = "<img src=x onerror='window.hacked=1'>"
 GROUPS = {"frame": "Frame", "views": "Views", "bone": "Bone", "rays": "Lines of sight", "wire": "Wire"}

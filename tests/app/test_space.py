@@ -29,7 +29,7 @@ from sightline.rehearsal.patient import NAILED
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.kinematics.designs import PITCH, YAW, nominal_manipulator, six_axis
 from sightline.twin.anatomy.femur import Femur, voxelise
-from sightline.twin.objects.volumes import Volume
+from sightline.volumes.volume import Volume
 
 
 def of_kind(objects: list[dict], kind: str) -> list[dict]:

@@ -15,8 +15,8 @@ from sightline.twin.anatomy.femur import to_cfcs
 from sightline.twin.anatomy.shapes import ball, box, cone, half_space, plate
 from sightline.twin.scenes.bone_scene import BONES, bone_document, draw_origin, placed_bone, shown_bone_scene
 from sightline.twin.scenes.specimens import SetUpSpec, specimen
-from sightline.twin.xray.projector import Rays, volume_integral
 from sightline.twin.xray.setup import with_errors
+from sightline.volumes.rays import Rays, volume_integral
 
 BLOCK, NAILED = Frame.load("block60"), "nailed-femur"
 BARE = [name for name in BONES if name != NAILED]

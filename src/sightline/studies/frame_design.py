@@ -43,10 +43,10 @@ from sightline.studies.scenes import (
     measure,
 )
 from sightline.twin import SetUp, bead_images
-from sightline.twin.objects.beam import attenuation_per_mm
 from sightline.twin.objects.things import SoftTissue
 from sightline.twin.xray.distributions import NEAR_PLACE, SolidPlace
 from sightline.twin.xray.setup import Handling, Variation, displaced, in_use
+from sightline.volumes.beam import attenuation_per_mm
 
 INTERVAL = "rms (tick) with its 95 % interval (bar)"
 

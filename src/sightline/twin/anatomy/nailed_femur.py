@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import SetUpError
 from sightline.twin.anatomy.bone_model import BoneModel, BonePart, TubeAid
 from sightline.twin.anatomy.shapes import cone, ellipsoid
-from sightline.twin.objects.meshes import Mesh
+from sightline.volumes.meshes import Mesh
 
 # Sizes [ours, typical].
 SPACING_MM = 28.0  # between both holes; makers have 25 to 30 mm

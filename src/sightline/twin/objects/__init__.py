@@ -1,1 +1,1 @@
-"""What is in the beam: materials, meshes, volumes, solids and scenes of them."""
+"""What is in the beam: solids, and scenes of them."""

@@ -14,7 +14,6 @@ from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph
 from sightline.twin.anatomy.femur import BONE_PER_HU, Femur, draw_femur, to_cfcs, voxelise
-from sightline.twin.objects.meshes import FILE_TYPES, read_mesh
 from sightline.twin.objects.things import (
     Ball,
     Box,
@@ -29,7 +28,6 @@ from sightline.twin.objects.things import (
     moved,
     table_rail,
 )
-from sightline.twin.objects.volumes import bored, ct_volumes, fractured, read_ct
 from sightline.twin.scenes.bone_scene import BONES, BoneKind, bone_document, draw_origin, placed_bone
 from sightline.twin.scenes.hip_scene import (
     TEST_BALL_RADIUS_MM,
@@ -41,6 +39,9 @@ from sightline.twin.scenes.hip_scene import (
     truth_document,
 )
 from sightline.twin.xray.setup import BEAMS, SetUp, ViewTruth, draw_setup
+from sightline.volumes.ct import ct_volumes, read_ct
+from sightline.volumes.meshes import FILE_TYPES, read_mesh
+from sightline.volumes.volume import bored, fractured
 
 ATTEMPTS = 100
 # Sizes and places without a source are [ours, typical].

@@ -5,103 +5,18 @@ compile and a row view is reference-counted. Divisions are not checked (`error_m
 tested in the code.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from sightline.common.kernels import kernel
 from sightline.common.threads import in_parts
 from sightline.twin.objects.things import COLUMNS
+from sightline.volumes.rays import Rays, towards, within
 
 CELL_PX = 16
 SUB = 4  # sub-rays per pixel and axis, for balls and rods
 MESH_SUB = 2  # for meshes [ours]
 MESH_CELL_PX = 32
 assert COLUMNS == 9  # noqa: S101 - the kernels below spell the columns out
-
-
-class Rays(NamedTuple):
-    """The rays of an image, CFCS: from `focal` (3,) to `points` (H, W, 3) on the input plane; cast where `inside`."""
-
-    focal: np.ndarray
-    points: np.ndarray
-    inside: np.ndarray
-
-
-@kernel()
-def _towards(rays: Rays, r: int, c: int, d: np.ndarray) -> float:
-    """Fill `d` (3,) with the vector from the focal point to one pixel's point on the input plane; return its length."""
-    norm = 0.0
-    for a in range(3):
-        d[a] = rays.points[r, c, a] - rays.focal[a]
-        norm += d[a] * d[a]
-    return np.sqrt(norm)
-
-
-@kernel()
-def _within(span: tuple[float, float], start: float, slope: float, low: float, high: float) -> tuple[float, float]:
-    """Return the part (near, far) of a span of t where low <= start + t slope <= high; far < near: none."""
-    near, far = span
-    if abs(slope) < 1e-12:
-        return (near, far) if low <= start <= high else (0.0, -1.0)
-    t0, t1 = (low - start) / slope, (high - start) / slope
-    return max(near, min(t0, t1)), min(far, max(t0, t1))
-
-
-def volume_integral(rays: Rays, values: np.ndarray, origin: np.ndarray, voxel: np.ndarray) -> np.ndarray:
-    """Return the integrals (H, W), mm, of a volume along the rays, with trilinear interpolation and one sample per
-    shortest voxel edge; 0 where not inside.
-
-    `values` (nx, ny, nz), C-contiguous: value [i, j, k] at origin + voxel * (i, j, k), 0 beyond them. `voxel` (3,) mm.
-    At least two voxels per side.
-    """
-    lengths = np.zeros(rays.inside.shape, dtype=np.float32)
-    unit = voxel[0]
-    ratio = unit / voxel
-    in_parts(
-        _cast_volume, rays, values.ravel(), values.shape, (rays.focal - origin) / unit * ratio, ratio, unit, lengths
-    )
-    return lengths
-
-
-# Reassociation lets the compiler take eight samples at a time; the float32 results stay bit-identical.
-@kernel(nogil=True, fastmath=True)
-def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, lengths):  # noqa: PLR0917
-    """Voxels `flat` (n,) of `shape`; `start` (3,) the focal point in voxels, `ratio` (3,) voxels per `unit` mm."""
-    h, w = rays.inside.shape
-    ni, nj = shape[1] * shape[2], shape[2]
-    most = max(ratio[0], ratio[1], ratio[2])
-    d = np.empty(3)
-    for r in range(part, h, parts):
-        for c in range(w):
-            if not rays.inside[r, c]:
-                continue
-            norm = _towards(rays, r, c, d)
-            span = (0.0, norm / unit)
-            for a in range(3):
-                d[a] = d[a] / norm * ratio[a]
-                span = _within(span, start[a], d[a], 0.0, shape[a] - 1.001)
-            near, far = span
-            if far <= near:
-                continue
-            steps = int((far - near) * most) + 1
-            step = (far - near) / steps
-            total = 0.0
-            for s in range(steps):
-                t = near + (s + 0.5) * step
-                x, y, z = start[0] + t * d[0], start[1] + t * d[1], start[2] + t * d[2]
-                i, j, k = np.int32(x), np.int32(y), np.int32(z)
-                fx, fy, fz = x - i, y - j, z - k
-                at = i * ni + j * nj + k  # unsigned below, so that numba tests no index for being negative
-                a00, a01 = np.uint64(at), np.uint64(at + nj)
-                a10, a11 = np.uint64(at + ni), np.uint64(at + ni + nj)
-                up = np.uint64(1)
-                low = (1 - fy) * flat[a00] + fy * flat[a01]
-                low_up = (1 - fy) * flat[a00 + up] + fy * flat[a01 + up]
-                high = (1 - fy) * flat[a10] + fy * flat[a11]
-                high_up = (1 - fy) * flat[a10 + up] + fy * flat[a11 + up]
-                total += (1 - fx) * ((1 - fz) * low + fz * low_up) + fx * ((1 - fz) * high + fz * high_up)
-            lengths[r, c] = total * step * unit
 
 
 @kernel()
@@ -207,7 +122,7 @@ def _cast_solids(part, parts, rays, spot, first, index, shapes, grown, excess, t
             cell = (r // CELL_PX) * wide + c // CELL_PX
             if not rays.inside[r, c] or first[cell] == first[cell + 1]:
                 continue
-            norm = _towards(rays, r, c, d)
+            norm = towards(rays, r, c, d)
             for a in range(3):
                 d[a] /= norm
             near = False
@@ -247,7 +162,7 @@ def _cast_boxes(part, parts, rays, centres, axes, halves, lengths):  # noqa: PLR
         for c in range(w):
             if not rays.inside[r, c]:
                 continue
-            norm = _towards(rays, r, c, d)
+            norm = towards(rays, r, c, d)
             for m in range(len(centres)):
                 span = (0.0, 1.0)
                 for a in range(3):
@@ -255,7 +170,7 @@ def _cast_boxes(part, parts, rays, centres, axes, halves, lengths):  # noqa: PLR
                     for b in range(3):
                         start += (rays.focal[b] - centres[m, b]) * axes[m, a, b]
                         slope += d[b] * axes[m, a, b]
-                    span = _within(span, start, slope, -halves[m, a], halves[m, a])
+                    span = within(span, start, slope, -halves[m, a], halves[m, a])
                 near, far = span
                 if far > near:
                     lengths[r, c] += (far - near) * norm
