@@ -37,6 +37,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "plan": PlanFile.read,
     "bone.stl": read_mesh,
     "scan.nii": read_ct,
+    "scan.nrrd": read_ct,
 }
 
 

@@ -1,5 +1,6 @@
 """CT scans: written, read back, placed and projected; and each kind of bad one refused."""
 
+import gzip
 from pathlib import Path
 
 import nibabel
@@ -36,6 +37,39 @@ def write_nifti(file: Path, scan: CtScan) -> Path:
     image = nibabel.Nifti1Image(scan.hu, np.diag([-1.0, -1, 1, 1]) @ affine)
     image.header.set_xyzt_units("mm")
     nibabel.save(image, file)
+    return file
+
+
+NRRD = """NRRD0004
+# Complete NRRD file format specification at:
+type: short
+dimension: 3
+space: {space}
+sizes: 40 36 20
+space directions: {directions}
+kinds: domain domain domain
+endian: little
+encoding: {encoding}
+space origin: {origin}
+note:=from: a test
+
+"""
+
+
+def vector(numbers) -> str:
+    return "(" + ",".join(repr(float(n)) for n in numbers) + ")"
+
+
+def write_nrrd(file: Path, scan: CtScan, encoding="gzip", change=("", ""), sign=(1, 1, 1)) -> Path:
+    head = NRRD.format(
+        space="left-posterior-superior" if sign == (1, 1, 1) else "right-anterior-superior",
+        directions=" ".join(vector(sign * row) for row in scan.axes * scan.voxel_mm[:, None]),
+        origin=vector(sign * scan.origin_mm),
+        encoding=encoding,
+    )
+    assert change[0] in head
+    data = scan.hu.astype("<i2").tobytes(order="F")
+    file.write_bytes(head.replace(*change).encode() + (gzip.compress(data) if encoding == "gzip" else data))
     return file
 
 
@@ -79,6 +113,37 @@ def assert_same(read: CtScan, written: CtScan) -> None:
 @pytest.mark.parametrize("name", ["scan.nii", "scan.nii.gz"])
 def test_a_nifti_scan_comes_back(name, tmp_path):
     assert_same(read_ct(write_nifti(tmp_path / name, made())), made())
+
+
+@pytest.mark.parametrize("encoding", ["raw", "gzip"])
+@pytest.mark.parametrize("sign", [(1, 1, 1), (-1, -1, 1)], ids=["LPS", "RAS"])
+def test_an_nrrd_scan_comes_back(encoding, sign, tmp_path):
+    assert_same(read_ct(write_nrrd(tmp_path / "scan.nrrd", made(), encoding, sign=sign)), made())
+
+
+BAD_NRRD = {  # what the message says, by what stands in the header instead
+    "states nothing for its space": ("space: left-posterior-superior\n", ""),
+    "states scanner-xyz for its space": ("left-posterior-superior", "scanner-xyz"),
+    "states uchar for its type": ("type: short", "type: uchar"),
+    "states bzip2 for its encoding": ("encoding: gzip", "encoding: bzip2"),
+    "states nothing for its endian": ("endian: little\n", ""),
+    "needs 3 numbers for its sizes": ("sizes: 40 36 20", "sizes: 3 40 36 20"),
+    "needs 3 numbers for its space origin": ("space origin: (-37.3,", "space origin: (nan,"),
+    "needs 3 x 3 numbers for its space directions": ("space directions: (", "space directions: none ("),
+    "4000 x 4000 x 4000 voxels": ("sizes: 40 36 20", "sizes: 4000 4000 4000"),
+    "is in m;": ("kinds:", 'space units: "m" "m" "m"\nkinds:'),
+    "not perpendicular": ("kinds: domain domain domain", "space directions: (0.9,0.9,0) (0,0.9,0) (0,0,1)"),
+    "data elsewhere": ("note:=from:", "data file:"),
+    "truncated or damaged": ("sizes: 40 36 20", "sizes: 40 36 21"),
+    "holds more than it states": ("sizes: 40 36 20", "sizes: 40 36 19"),
+    "not an NRRD file": ("NRRD0004", "NHDR0004"),
+}
+
+
+@pytest.mark.parametrize("why", BAD_NRRD)
+def test_a_bad_nrrd_file_is_refused(why, tmp_path):
+    with pytest.raises(UnusableInputError, match=why):
+        read_ct(write_nrrd(tmp_path / "scan.nrrd", made(), change=BAD_NRRD[why]))
 
 
 def test_a_dicom_series_comes_back(even, tmp_path):
@@ -146,6 +211,12 @@ def shifted(k, one):
         one.ImagePositionPatient = [float(c) + 2.5 * a for c, a in zip(one.ImagePositionPatient, AXES[2], strict=True)]
 
 
+def sheared(k, one):
+    """The table moves along z while the gantry is tilted about x."""
+    one.ImageOrientationPatient = [1, 0, 0, 0, 0.94, 0.342]
+    one.ImagePositionPatient = [0, 0, 2.5 * k]
+
+
 BAD_SERIES = {
     "modality MR": lambda k, one: setattr(one, "Modality", "MR"),
     "states no PixelSpacing": without("PixelSpacing"),
@@ -154,6 +225,7 @@ BAD_SERIES = {
     "one is missing": shifted,
     "0 x 1.1|voxels of 0": lambda k, one: setattr(one, "PixelSpacing", [1.1, 0]),
     "not perpendicular": lambda k, one: setattr(one, "ImageOrientationPatient", [1, 0, 0, 0.2, 0.98, 0]),
+    "tilted gantry": sheared,
     "not CT numbers": lambda k, one: setattr(one, "RescaleIntercept", 0),
     "truncated or damaged": unlike("PixelData", b"\0" * 64),
     "many slices in one file": unlike("NumberOfFrames", 5),

@@ -29,7 +29,7 @@ class SceneOptions:
         typer.Argument(
             help="What lies in the beam: hip, pelvis, vertebra, nailed-femur, growing-femur, object (the paper's "
             "four balls in Perspex), plastic (its bored femur), porcine; or a file: a closed mesh in mm (STL, PLY, "
-            "OBJ) or a CT scan (NIfTI, folder of slices)."
+            "OBJ) or a CT scan (NIfTI, NRRD, folder of slices)."
         ),
     ] = "hip"
     preset: Annotated[

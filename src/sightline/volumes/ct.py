@@ -1,9 +1,10 @@
-"""CT scans, from NIfTI files and DICOM series, and as volumes of soft tissue and bone. Lengths mm.
+"""CT scans, from NIfTI and NRRD files and DICOM series, and as volumes of soft tissue and bone. Lengths mm.
 
 Patient coordinates are DICOM's: x to the patient's left, y to the back, z to the head. Elements that identify the
 patient are never read.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +12,12 @@ import numpy as np
 
 from sightline.errors import UnusableInputError
 from sightline.volumes.beam import TABLE_PER_CM
+from sightline.volumes.nrrd import read_nrrd
 from sightline.volumes.volume import Volume
 
 WATER_PER_CM = 0.206  # at 60 keV [calc, xraydb], where a CT number is taken as mu_water (1 + HU/1000)
-MAX_VOXELS = 2**26  # [ours] 256 slices of 512²; 0.7 GB during projection
+MAX_VOXELS = 2**28  # [ours] 1,024 slices of 512², 0.5 GB
+MAX_PARTED = 2**26  # [ours] voxels in shares: 256 slices of 512², 0.7 GB during projection
 MAX_SLICES = MAX_VOXELS // 128**2  # files in one folder: slices of 128²
 SPACING_MM = (0.1, 10.0)  # [ours] voxel edges of clinical CT; others are probably not in mm
 HU = (-1024, 3071)  # range of twelve bits; values outside are clipped
@@ -53,12 +56,16 @@ class CtScan:
 
 
 def read_ct(path: str | Path) -> CtScan:
-    """Read a CT scan from a NIfTI file (.nii, .nii.gz) or from a folder with one DICOM series.
+    """Read a CT scan from a NIfTI file (.nii, .nii.gz), an NRRD file (.nrrd) or a folder with one DICOM series.
 
     Raises UnusableInputError if it is not a CT, states no spacing or position, lacks slices, is skewed or too large.
     """
     place = Path(path)
-    return _series(place) if place.is_dir() else _nifti(place)
+    if place.is_dir():
+        return _series(place)
+    if not place.is_file():
+        raise UnusableInputError(f"there is no {place.name}; name a NIfTI or NRRD file or a folder of DICOM files")
+    return _nrrd(place) if place.suffix.lower() == ".nrrd" else _nifti(place)
 
 
 def ct_volumes(scan: CtScan, side: str, hip_mm: np.ndarray, at_mm: np.ndarray | None = None) -> tuple[Volume, Volume]:
@@ -71,6 +78,10 @@ def ct_volumes(scan: CtScan, side: str, hip_mm: np.ndarray, at_mm: np.ndarray | 
     """
     if side not in CFCS_OF_PATIENT:
         raise UnusableInputError(f"a hip's side is 'right' or 'left', not {side!r}")
+    if scan.hu.size > MAX_PARTED:
+        raise UnusableInputError(
+            f"the scan has {scan.hu.size} voxels, the limit is {MAX_PARTED}: crop it about the hip"
+        )
     rotation = CFCS_OF_PATIENT[side]
     origin = rotation @ (scan.origin_mm - np.asarray(hip_mm)) + (np.zeros(3) if at_mm is None else np.asarray(at_mm))
     index = np.clip(scan.hu, *HU) - HU[0]
@@ -93,10 +104,8 @@ def shares_of_hu(hu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _nifti(file: Path) -> CtScan:
     from nibabel.nifti1 import Nifti1Image
 
-    if not file.is_file():
-        raise UnusableInputError(f"there is no {file.name}; name a NIfTI file or a folder of DICOM files")
     try:
-        image = Nifti1Image.from_filename(file)
+        image = Nifti1Image.from_filename(file, keep_file_open=True)  # else .gz is read from its start for each slice
         header = image.header
         codes, unit = (int(header["sform_code"]), int(header["qform_code"])), header.get_xyzt_units()[0]
         affine, shape = np.asarray(image.affine, dtype=np.float64), image.shape
@@ -109,12 +118,15 @@ def _nifti(file: Path) -> CtScan:
     if len(shape) != 3:
         raise UnusableInputError(f"{file.name} has {len(shape)} dimensions; give one scan of three")
     _check_size(shape, file.name)
-    try:
-        values = np.asarray(image.dataobj, dtype=np.float32)
-    except Exception as error:
-        raise UnusableInputError(f"{file.name} is truncated or damaged; copy or export it again") from error
     to_patient = np.diag([-1.0, -1.0, 1.0])  # NIfTI: x to the right, y to the front
-    return _scan(values, to_patient @ affine[:3, 3], to_patient @ affine[:3, :3], file.name)
+    slices = (_sound(lambda k=k: np.asarray(image.dataobj[:, :, k], np.float32), file.name) for k in range(shape[2]))
+    return _scan(slices, shape, to_patient @ affine[:3, 3], to_patient @ affine[:3, :3], file.name)
+
+
+def _nrrd(file: Path) -> CtScan:
+    header = read_nrrd(file)
+    _check_size(header.shape, file.name)
+    return _scan(header.slices(), header.shape, header.origin_mm, header.steps_mm, file.name)
 
 
 def _series(folder: Path) -> CtScan:
@@ -136,22 +148,28 @@ def _series(folder: Path) -> CtScan:
     for what in ("SeriesInstanceUID", "ImageOrientationPatient", "PixelSpacing", "Rows", "Columns"):
         if any(header[what].value != first[what].value for _, header in slices):
             raise UnusableInputError(f"the files of {folder.name} differ in {what}; leave one series in the folder")
-    _check_size((int(first.Columns), int(first.Rows), len(slices)), folder.name)
+    shape = int(first.Columns), int(first.Rows), len(slices)
+    _check_size(shape, folder.name)
     right, down = np.array(first.ImageOrientationPatient, dtype=np.float64).reshape(2, 3)
     normal = np.cross(right, down)
     slices.sort(key=lambda entry: float(np.dot(entry[1].ImagePositionPatient, normal)))
     at = np.array([header.ImagePositionPatient for _, header in slices], dtype=np.float64)
-    values = np.empty((int(first.Columns), int(first.Rows), len(slices)), dtype=np.float32)
-    for k, (file, header) in enumerate(slices):
-        try:
-            stored = pixel_array(file)
-        except Exception as error:
-            raise UnusableInputError(f"{file.name} is truncated or damaged; copy or export it again") from error
-        values[:, :, k] = stored.T * float(header.RescaleSlope) + float(header.RescaleIntercept)
     by_row, by_column = (float(c) for c in first.PixelSpacing)  # between rows, between columns
-    return _scan(
-        values, at[0], np.stack([by_column * right, by_row * down, _slice_step(at, folder.name)], 1), folder.name
+    steps = np.stack([by_column * right, by_row * down, _slice_step(at, folder.name)], 1)
+    values = (
+        _sound(lambda file=file: pixel_array(file), file.name).T * float(header.RescaleSlope)
+        + float(header.RescaleIntercept)
+        for file, header in slices
     )
+    return _scan(values, shape, at[0], steps, folder.name)
+
+
+def _sound(read: Callable[[], np.ndarray], name: str) -> np.ndarray:
+    """Return what `read` returns. Raises UnusableInputError: broken bytes may make a library raise anything."""
+    try:
+        return read()
+    except Exception as error:
+        raise UnusableInputError(f"{name} is truncated or damaged; copy or export it again") from error
 
 
 def _check_slice(header, name: str) -> None:
@@ -189,8 +207,13 @@ def _check_size(shape: tuple[int, ...], name: str) -> None:
         )
 
 
-def _scan(values: np.ndarray, origin_mm: np.ndarray, steps_mm: np.ndarray, name: str) -> CtScan:
-    """Return a scan whose indices i, j, k step by the columns of `steps_mm` (3, 3). Raises UnusableInputError."""
+def _scan(
+    slices: Iterable[np.ndarray], shape: tuple[int, ...], origin_mm: np.ndarray, steps_mm: np.ndarray, name: str
+) -> CtScan:
+    """Return a scan of slices (nx, ny), read one by one. Raises UnusableInputError.
+
+    Indices i, j, k step by the columns of `steps_mm` (3, 3), patient coordinates.
+    """
     voxel = np.linalg.norm(steps_mm, axis=0)
     if not (np.isfinite(origin_mm).all() and (voxel >= SPACING_MM[0]).all() and (voxel <= SPACING_MM[1]).all()):
         raise UnusableInputError(
@@ -202,10 +225,13 @@ def _scan(values: np.ndarray, origin_mm: np.ndarray, steps_mm: np.ndarray, name:
         raise UnusableInputError(
             f"the axes of {name} are not perpendicular (a tilted gantry?); resample it to perpendicular axes"
         )
-    if not np.isfinite(values).all():
-        raise UnusableInputError(f"{name} holds values that are not finite; export it again without them")
-    if values.min() > NO_AIR_HU:
+    hu = np.empty(shape, dtype=np.int16)
+    for k, values in enumerate(slices):
+        if not np.isfinite(values).all():
+            raise UnusableInputError(f"{name} holds values that are not finite; export it again without them")
+        hu[:, :, k] = np.clip(np.rint(values), *HU)
+    if hu.min() > NO_AIR_HU:
         raise UnusableInputError(
             f"{name} has no value below {NO_AIR_HU}, so its values are not CT numbers; give a CT in Hounsfield units"
         )
-    return CtScan(np.clip(np.rint(values), *HU).astype(np.int16), origin_mm, voxel, axes)
+    return CtScan(hu, origin_mm, voxel, axes)

@@ -115,7 +115,7 @@ class SetUpSpec:
 
 
 def specimen(what: str, rng: np.random.Generator, spec: SetUpSpec, at_mm: np.ndarray | None = None) -> Specimen:
-    """Return a specimen by its name in SPECIMENS, or from a mesh file, a NIfTI file or a folder with one CT series.
+    """Return a specimen by its name in SPECIMENS, or from a file: a mesh, or a CT scan (a folder if DICOM).
 
     `at_mm` (3,): the point of a file, in its own coordinates, that is moved to `SetUp.hip_mm`; default: its middle.
     Raises UnusableInputError, SetUpError.
@@ -128,7 +128,7 @@ def specimen(what: str, rng: np.random.Generator, spec: SetUpSpec, at_mm: np.nda
     if not path.exists():
         raise UnusableInputError(
             f"there is no specimen {path.name!r}; name one of {', '.join(SPECIMENS)}, or the path of a mesh "
-            f"({', '.join(FILE_TYPES)}), a NIfTI file or a folder of CT slices"
+            f"({', '.join(FILE_TYPES)}), a NIfTI or NRRD file or a folder of CT slices"
         )
     setup, shown = spec.draw(rng, np.zeros((1, 3)))
     scene, middle = (_mesh if path.suffix.lower().removeprefix(".") in FILE_TYPES else _ct)(path, setup, at_mm)
