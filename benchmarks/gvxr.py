@@ -1,4 +1,4 @@
-"""Images of a frame beside a hip, and of a nail in a femur's shaft, whose rays gVirtualXray has cast.
+"""Images of a frame beside a hip or a bone, and of a nail in a femur's shaft, whose rays gVirtualXray has cast.
 
 Optional: `pip install gvxr` (2.1; without a GPU, Mesa's software renderer serves). Path lengths through triangle meshes
 are gVirtualXray's; energies and attenuation are those of this file. Beside a hip scatter, counts and blur are computed
@@ -31,6 +31,7 @@ PER_MM = {
     "steel": np.array([2.10, 1.24, 0.79, 0.47]),
     "bone": np.array([0.095, 0.070, 0.058, 0.045]),
     "tissue": np.array([0.0245, 0.0218, 0.0203, 0.0187]),
+    "fat": np.array([0.0212, 0.0195, 0.0184, 0.0171]),
     "pmma": np.array([0.0262, 0.0237, 0.0223, 0.0208]),
 }
 SHARES = np.array([0.25, 0.30, 0.27, 0.18])
@@ -108,7 +109,8 @@ def _ball(centre_mm: Any, radius_mm: float, subdivisions: int = 3) -> trimesh.Tr
     return ball
 
 
-def _above(material: str, displaced: str = "tissue") -> np.ndarray:
+def above(material: str, displaced: str = "tissue") -> np.ndarray:
+    """Return the attenuation of a material above that of what it displaces, 1/mm, at each energy."""
     return PER_MM[material] - PER_MM[displaced]
 
 
@@ -121,7 +123,7 @@ def _light(lengths: Mapping[str, np.ndarray], attenuation: Mapping[str, np.ndarr
     )
 
 
-def _ellipse(half_mm: tuple[float, float], height_mm: float, at_mm: np.ndarray) -> trimesh.Trimesh:
+def ellipse(half_mm: tuple[float, float], height_mm: float, at_mm: np.ndarray) -> trimesh.Trimesh:
     """Return a cylinder along CFCS y with an elliptical section."""
     body = cylinder(1.0, height=height_mm, sections=192)
     body.apply_scale([*half_mm, 1.0])
@@ -139,33 +141,34 @@ def hip_parts(frame: Frame, wire_mm: np.ndarray) -> Parts:
         cylinder(16.0, segment=np.stack([end, entry]), sections=96),
         cylinder(15.0, segment=np.stack([entry - 25.0 * down, entry + 150.0 * down]), sections=96),
     ]
-    body = _ellipse((140.0, 105.0), 500.0, wire_mm.mean(axis=0) + np.array([-35.0, 0.0, -5.0]))
+    body = ellipse((140.0, 105.0), 500.0, wire_mm.mean(axis=0) + np.array([-35.0, 0.0, -5.0]))
     return {
-        **_frame_parts(frame),
-        **{f"bone {k}": (mesh, 0.5 * _above("bone")) for k, mesh in enumerate(bone)},
+        **frame_parts(frame),
+        **{f"bone {k}": (mesh, 0.5 * above("bone")) for k, mesh in enumerate(bone)},
         "body": (body, PER_MM["tissue"]),
     }
 
 
-def _frame_parts(frame: Frame) -> Parts:
+def frame_parts(frame: Frame) -> Parts:
+    """Return a frame's true balls, and a block's PMMA."""
     if frame.solid is None:
         return {"balls": (balls(frame.fiducials, 3), PER_MM["steel"])}
     xyz = frame.solid.xyz_mm
     bounds = np.stack([xyz.min(axis=0) - COVER_MM, xyz.max(axis=0) + COVER_MM])
     return {
-        "balls": (balls(frame.solid.fiducials, 3), _above("steel", "pmma")),
-        "block": (trimesh.creation.box(bounds=bounds), _above("pmma")),
+        "balls": (balls(frame.solid.fiducials, 3), above("steel", "pmma")),
+        "block": (trimesh.creation.box(bounds=bounds), above("pmma")),
     }
 
 
-def panel_image(view: ViewTruth, parts: Parts, rng: np.random.Generator) -> Radiograph:
-    """Draw the image of the parts on the panel of a view."""
+def panel_image(view: ViewTruth, parts: Parts, rng: np.random.Generator, quanta: float = QUANTA) -> Radiograph:
+    """Draw the image of the parts on the panel of a view. `quanta`: per pixel, mean of the image's middle."""
     lengths = path_lengths_mm(view, {name: mesh for name, (mesh, _) in parts.items()})
-    return _stored(_light(lengths, {name: per_mm for name, (_, per_mm) in parts.items()}), view, rng)
+    return _stored(_light(lengths, {name: per_mm for name, (_, per_mm) in parts.items()}), view, rng, quanta)
 
 
-def intensifier_image(view: ViewTruth, parts: Parts, rng: np.random.Generator) -> Radiograph:
-    """Draw the image of the parts on an intensifier, through the view's distortion."""
+def intensifier_image(view: ViewTruth, parts: Parts, rng: np.random.Generator, quanta: float = QUANTA) -> Radiograph:
+    """Draw the image of the parts on an intensifier, through the view's distortion; `quanta` as of `panel_image`."""
     height, width = view.chain.shape
     uv = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), axis=-1)
     field = view.in_field(uv)
@@ -178,20 +181,24 @@ def intensifier_image(view: ViewTruth, parts: Parts, rng: np.random.Generator) -
     primary = np.zeros(view.chain.shape)
     # The mean of two samples lies half a sample before the second.
     primary[field] = map_coordinates(light, ((xy - low) / pitch + 0.5).T[::-1], order=1, mode="nearest")
-    return _stored(primary, view, rng, field)
+    return _stored(primary, view, rng, quanta, field)
 
 
 def _stored(
-    primary: np.ndarray, view: ViewTruth, rng: np.random.Generator, field: np.ndarray | None = None
+    primary: np.ndarray,
+    view: ViewTruth,
+    rng: np.random.Generator,
+    wanted: float,
+    field: np.ndarray | None = None,
 ) -> Radiograph:
     """Return the image of the light (H, W) that arrives without scatter; black outside the `field`, (H, W) bool."""
     pitch = view.chain.pitch_mm
     quanta = (primary + SCATTER * gaussian_filter(primary, SCATTER_MM / pitch)) / (1 + SCATTER)
     quanta = quanta if field is None else quanta * field
     height, width = quanta.shape
-    quanta *= QUANTA / quanta[height // 4 : -height // 4, width // 4 : -width // 4].mean()
+    quanta *= wanted / quanta[height // 4 : -height // 4, width // 4 : -width // 4].mean()
     seen = gaussian_filter(rng.poisson(quanta).astype(float), BLUR_MM / pitch)
-    stored = np.clip(np.rint(seen * LEVEL * WHITE / QUANTA), 0, WHITE).astype(np.uint16)
+    stored = np.clip(np.rint(seen * LEVEL * WHITE / wanted), 0, WHITE).astype(np.uint16)
     return Radiograph(stored, float(WHITE))
 
 
@@ -232,12 +239,12 @@ def _nail_parts(view: ViewTruth, nail: DistalNail, frame: Frame) -> Parts:
     at = nail.hole_mm + (0.59 * nail.hole_diameter_mm / 2 + ROD_MM / 2) * aside - 12.0 * beam
     rod = cylinder(ROD_MM / 2, segment=at + np.array([[-40.0], [40.0]]) * along, sections=64)
     return {
-        "nail": (trimesh.Trimesh(mesh.vertices_mm, mesh.triangles, process=False), _above(nail.material)),
-        "shaft": (shaft, _above("bone")),
-        "canal": (canal, -_above("bone")),
-        "thigh": (_ellipse(THIGH_MM, 400.0, nail.hole_mm), PER_MM["tissue"]),
-        "rod": (rod, _above("steel")),
-        "balls": (balls(frame.fiducials, 2), _above("steel")),
+        "nail": (trimesh.Trimesh(mesh.vertices_mm, mesh.triangles, process=False), above(nail.material)),
+        "shaft": (shaft, above("bone")),
+        "canal": (canal, -above("bone")),
+        "thigh": (ellipse(THIGH_MM, 400.0, nail.hole_mm), PER_MM["tissue"]),
+        "rod": (rod, above("steel")),
+        "balls": (balls(frame.fiducials, 2), above("steel")),
     }
 
 
