@@ -207,6 +207,17 @@ def test_two_nearly_equal_exposures_fail_a_check_that_names_the_direction(
     assert abs((shape.blur_deg - np.rad2deg(np.arctan2(shift[1], shift[0])) + 90) % 180 - 90) < 15
 
 
+def test_few_beads_before_bones_show_two_exposures_too() -> None:
+    """Fails for a background that counts as part of a shadow's shape, and for a standard error that one bead sets."""
+    v, u = np.indices(CLEAN.shape)
+    edges = sum(np.sin((np.cos(angle) * u + np.sin(angle) * v) / 12) for angle in (0.4, 1.3, 2.5))
+    for pixels, blurred in ((CLEAN, False), (moved((-3.0, 2.0), 0.4), True), (moved((2.0, -2.2), 0.3), True)):
+        one = Radiograph(np.clip(pixels * (1 - 0.1 * edges), 0, 255).astype(np.uint8), 255.0)
+        found = detect(one)
+        shape = common_shape(one, found.uv_px[:12], found.radius_px[:12])  # as many as a block's
+        assert shape is not None and (shape.blur_px > MAX_BLUR_PX) is blurred
+
+
 @pytest.mark.parametrize("change", [lambda p: p, lambda p: cv2.GaussianBlur(p, (0, 0), 1.0), lambda p: jpeg(p, 50)])
 def test_one_exposure_has_neither_copies_nor_a_blur_of_one_direction(
     change: Callable[[np.ndarray], np.ndarray],

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from sightline.common.checks import Check
-from sightline.common.fitting import MAD_TO_SD, MEDIAN_SD, distances
+from sightline.common.fitting import MAD_TO_SD, MEDIAN_SD, distances, median
 from sightline.imaging import Radiograph
 
 _ANGLES, _STEP_PX = 32, 0.5  # of the polar grid about each bead
@@ -21,8 +21,8 @@ _SURE = 3.0  # standard errors that are subtracted
 _MIN_CONTRAST = 1e-3  # of log intensity [ours]
 _HALVES = 0.25, 0.75  # of a bead's contrast: between them its rim is measured [ours]
 _BLUR_PX2 = 3.2  # squared blur along one direction per unit of what copies 2 px to both sides would add [calc]
-# Images of one exposure have up to 0.05 and 0.6 px. Copies of 10 % at 3.6 px have 0.34 px, and two exposures 2 px apart
-# 0.69 [twin, gVirtualXray, ARCADIS: 42 images].
+# Images of one exposure have up to 0.06 and 0.45 px [twin, ARCADIS: 52 images]. Copies of 10 % at 3.6 px have 0.34 px,
+# and two exposures 2.2 px apart 0.85 [twin].
 MAX_COPY_PX, MAX_BLUR_PX = 0.15, 0.7
 # Beads are up to 2 % wider than high, or higher; with a spread of up to 4 %, other spots 12 % and more. Pixels that are
 # not square leave rims of equal width, to 13 %; movement that makes spots longer makes these wider by 45 % and more
@@ -124,21 +124,27 @@ def _common(shadows: list["_Shadow"]) -> CommonShape:
     shift, angle = _SHIFTS_PX[best[0]], 2 * np.pi * best[1] / _ANGLES
     both = np.array([shadow.both_sides for shadow in shadows])
     along = int(np.argmax(np.median(both, axis=0)))
-    blur2 = float(np.median(both[:, along]) - _SURE * both[:, along].std() / np.sqrt(len(both)))
+    blur, blur_sd = _median(both[:, along])
     aspects = np.array([shadow.aspect for shadow in shadows])
-    aspect = float(np.median(aspects))
-    spread = float(np.median(np.abs(aspects / aspect - 1)))
+    aspect, aspect_sd = _median(aspects)
     return CommonShape(
         copy_share=float(share[best]),
         copy_px=(float(shift * np.cos(angle)), float(shift * np.sin(angle))),
         copy_moves_px=float(max(share[best] - _SURE * error[best], 0.0) * shift),
-        blur_px=float(np.sqrt(max(_BLUR_PX2 * blur2, 0.0))),
+        blur_px=float(np.sqrt(_BLUR_PX2 * max(blur - _SURE * blur_sd, 0.0))),
         blur_deg=(360.0 * along / _ANGLES) % 180.0,
         aspect=aspect,
         soft=float(np.median([shadow.soft for shadow in shadows])),
-        aspect_spread=spread,
-        aspect_sd=float(MEDIAN_SD * MAD_TO_SD * spread / np.sqrt(len(shadows))),
+        aspect_spread=median(np.abs(aspects / aspect - 1)),
+        aspect_sd=aspect_sd / aspect,
     )
+
+
+def _median(values: np.ndarray) -> tuple[float, float]:
+    """Return the median of (N,) and its standard error, from the median deviation: a ball on a bone's edge can have any
+    value."""
+    middle = median(values)
+    return middle, MEDIAN_SD * MAD_TO_SD * median(np.abs(values - middle)) / float(np.sqrt(len(values)))
 
 
 def _isolated(image: Radiograph, uv_px: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
@@ -180,13 +186,15 @@ class _Shadow:
         opposite = np.roll(disc, _ANGLES // 2, axis=1)
         angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
         weight = np.sqrt(r)[:, None]
-        # Of any shift of the centre and slope of the background nothing is left.
-        known = np.linalg.qr(weight * np.stack([r, np.gradient(mean, r)], axis=1))[0]
-        once = np.exp(1j * angle)
+        # Of any shift of the centre, slope and curvature of the background nothing is left.
+        shift_and_slope = np.linalg.qr(weight * np.stack([r, np.gradient(mean, r)], axis=1))[0]
+        curvature = np.linalg.qr(weight * r[:, None] ** 2)[0]
 
-        def without_shift(values: np.ndarray) -> np.ndarray:
-            along = known @ (known.T @ (values @ once.conj())) * 2 / _ANGLES
-            return values - (along[:, None] * once).real
+        def without(known: np.ndarray, values: np.ndarray, times: int) -> np.ndarray:
+            """Return values without `known` functions of r times waves of `times` periods."""
+            wave = np.exp(1j * times * angle)
+            along = known @ (known.T @ (values @ wave.conj())) * 2 / _ANGLES
+            return values - (along[:, None] * wave).real
 
         def copied(shift_px: float) -> np.ndarray:
             return np.interp(
@@ -197,10 +205,11 @@ class _Shadow:
             """Return the product with a copy turned to each of the angles."""
             return np.fft.ifft((np.fft.fft(values) * np.fft.fft(copy).conj()).sum(axis=0)).real
 
-        odd, even = without_shift(weight * (disc - opposite) / 2), weight * ((disc + opposite) / 2 - mean[:, None])
-        copies = [without_shift(weight * (copied(s) - copied(-s)) / 2) for s in _SHIFTS_PX]
+        odd = without(shift_and_slope, weight * (disc - opposite) / 2, 1)
+        even = weight * ((disc + opposite) / 2 - mean[:, None])
+        copies = [without(shift_and_slope, weight * (copied(s) - copied(-s)) / 2, 1) for s in _SHIFTS_PX]
         both = (copied(2.0) + copied(-2.0)) / 2
-        both = weight * (both - both.mean(axis=1, keepdims=True))
+        both = without(curvature, weight * (both - both.mean(axis=1, keepdims=True)), 2)
         low, high = _HALVES
         size = np.clip((disc - low) / (high - low), 0.0, 1.0).sum(axis=0)
         rim = (disc > low).sum(axis=0) - (disc > high).sum(axis=0)
