@@ -89,8 +89,8 @@ class Bone:
 class BoneScene:
     """A scan and two images of one bone.
 
-    `pose`: patient coordinates to CFCS. `targets_mm` (5, 3): places spread over the bone, the first two of which a
-    person can find in images, patient coordinates. `strata`: what was drawn.
+    `pose`: patient coordinates to CFCS. `targets_mm` (5, 3): places spread over the bone, patient coordinates.
+    `strata`: what was drawn.
     """
 
     setup: SetUp
@@ -110,9 +110,15 @@ class BoneScene:
         """Anatomical points (2, 3), patient coordinates."""
         return self.targets_mm[[0, 3]]
 
+    def views(self) -> list[CalibratedView]:
+        """Return the views as calibrated from the beads in the images, once.
+
+        Raises what `detect`, `label` and `calibrate` raise.
+        """
+        return self._calibrated
+
     @cached_property
-    def calibrated(self) -> list[CalibratedView]:
-        """The views as calibrated from the beads in the images. Raises what `detect`, `label`, `calibrate` raise."""
+    def _calibrated(self) -> list[CalibratedView]:
         seen = {name: sl.label(sl.detect(image), self.setup.frame, name) for name, image in self.images.items()}
         return calibrated_views(self.setup, seen)
 
