@@ -19,7 +19,9 @@ from sightline.errors import SetUpError
 from sightline.twin.anatomy.bones import AIIS, BRIM, HIP, ROOF, Pelvis, Vertebra
 
 FEMUR = Path(__file__).parents[3] / "shared" / "data" / "femur" / "m3_lfemur_mm.stl"  # no part of the repository
-CACHE = "SIGHTLINE_BONES"  # environment variable: folder of the computed distances; default: in that of temporary files
+# Environment variable: folder of the computed distances, by default in that of temporary files. Delete them after a
+# change of the twin's bones.
+CACHE = "SIGHTLINE_BONES"
 STEP_MM = {"femur": 1.0, "pelvis": 1.0, "vertebra": 0.8}  # of the grid: a level is within about 0.02 mm [ours]
 REACH_MM, PLANE_MM = 8.0, 1.5  # distances are clipped to the first, and taken from tangent planes up to the second
 # (lateral, caudal, anterior) of the twin's bones in patient coordinates, and where their origin is put [ours].
