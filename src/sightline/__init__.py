@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from sightline.planning import reconstruct as reconstruct
     from sightline.planning.check.result import CheckShot as CheckShot
     from sightline.planning.check.shot import Landmarks as Landmarks
+    from sightline.registration.render import render as render
 
     # Declared, not imported: rooms below `case.saved` take `__version__` from here, and must not reach up to it.
     load: Callable[..., Any]
@@ -71,6 +72,7 @@ _HOMES = {
     "read_view": "calibration.exchange.formats",
     "plan": "planning",
     "reconstruct": "planning",
+    "render": "registration.render",
     "report": "case.report.page",
     "save": "case.saved",
     "view_from_matrix": "calibration",
@@ -89,6 +91,7 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "fit_map",
     "view_from_matrix",
     "read_view",
+    "render",
     "report",
     "save",
     "load",
@@ -124,6 +127,7 @@ _ROOMS = (
     "robot",
     "studies",
     "twin",
+    "volumes",
 )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.calibration.view import LineErrors, LinesOfSight, PlaneMap
+from sightline.calibration.view import Deferred, LineErrors, LinesOfSight, PlaneMap
 from sightline.common.checks import Check
 from sightline.common.geometry.planes import Plane
 from sightline.common.show import Shown, checks_lines, numbers
@@ -114,26 +114,24 @@ class MatrixView(Shown):
         uv = np.asarray(uv_px, dtype=np.float64)
         if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
             raise UnusableInputError(f"give finite pixels of the shape (N, 2); got the shape {uv.shape}")
-        xy = self.plane_map.to_plane(uv)
+        xy, given = self.plane_map.to_plane(uv), self.covariance
         return LinesOfSight(
             view=self.name,
             plane=self.plane,
             focal_point_mm=self.focal_point_mm,
             xy_mm=xy,
             jacobian=self.plane_map.jacobian(uv),
-            covariance=self._covariance(uv, xy),
+            covariance=None if given is None else Deferred(lambda: self._by_source(uv, xy, given)),
             shared={},
             frame_key=None,
             inside_hull=np.ones(len(uv), dtype=bool),
         )
 
-    def _covariance(self, uv_px: np.ndarray, xy_mm: np.ndarray) -> dict[str, np.ndarray] | None:
-        """Return the covariance for each of SOURCES, None where the matrix has none.
+    def _by_source(self, uv_px: np.ndarray, xy_mm: np.ndarray, given: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the covariance for each of SOURCES from that of the matrix, `given`.
 
         From P (F, 1) = 0 and, for X in the plane, (row 0 - u row 2) (X, 1) = 0 = (row 1 - v row 2) (X, 1).
         """
-        if self.covariance is None:
-            return None
         size = 3 + 2 * len(uv_px)
         response = np.empty((size, 12))
         focal = np.append(self.focal_point_mm, 1.0)
@@ -142,7 +140,7 @@ class MatrixView(Shown):
             pick = np.column_stack([np.eye(2), -uv])
             by_xy = (pick @ self.matrix)[:, :3] @ self.plane.axes.T
             response[3 + 2 * i : 5 + 2 * i] = -np.linalg.solve(by_xy, np.kron(pick, np.append(point, 1.0)))
-        noise = response @ self.covariance @ response.T
+        noise = response @ given @ response.T
         return LineErrors(noise, np.zeros_like(noise), np.zeros((size, 0))).by_source()
 
 

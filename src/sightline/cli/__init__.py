@@ -37,6 +37,7 @@ _FILES = (  # in the order in which `sightline --help` lists their commands
     "plan",
     "check_shot",
     "simulate",
+    "render",
     "study",
     "frame.make",
     "frame.measured",

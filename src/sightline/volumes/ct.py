@@ -21,6 +21,7 @@ MAX_PARTED = 2**26  # [ours] voxels in shares: 256 slices of 512², 0.7 GB durin
 MAX_SLICES = MAX_VOXELS // 128**2  # files in one folder: slices of 128²
 SPACING_MM = (0.1, 10.0)  # [ours] voxel edges of clinical CT; others are probably not in mm
 HU = (-1024, 3071)  # range of twelve bits; values outside are clipped
+AIR_HU = -1000  # without attenuation
 NO_AIR_HU = -100  # [ours] a scan of a body has fat or air below this; values of another modality have not
 # Of a regular stack [ours]: deviation of a spacing, of which a missing slice makes more, and cosine between axes that
 # should be perpendicular; both are above the rounding of numbers in files.

@@ -1,0 +1,1 @@
+"""A CT or a mesh and calibrated views: what a view sees of it."""
