@@ -5,7 +5,9 @@ BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 TOOLS  := $(VENV)/.tools
 KERNELS := $(VENV)/.kernels
-# Most of what is installed is never imported: Python compiles at the first import, which takes half the time.
+# Most of what is installed is never imported: Python compiles at the first import, which takes half the time. Some
+# containers forbid Python to keep what it compiled: each process would then take 6 s more for its imports.
+unexport PYTHONDONTWRITEBYTECODE
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 # A lock names all that is needed. With --no-deps pip asks no index what else there is: a release of tomorrow changes nothing.
 LOCKED := $(PIP) --require-hashes --no-deps
