@@ -89,10 +89,11 @@ def test_a_pose_takes_the_ct_into_the_view(tmp_path: Path):
         assert np.allclose(read_pose(tmp_path / name).as_matrix(), pose.as_matrix(), atol=1e-12)
 
 
-def test_a_distorted_view_sees_along_its_lines_of_sight():
+@pytest.mark.parametrize("method", ["smooth", "localized"])
+def test_a_distorted_view_sees_along_its_lines_of_sight(method):
     frame = Frame.load("gamma")
     setup = draw_setup(np.random.default_rng(21), frame)
-    view = sl.calibrate(measure(np.random.default_rng(3), setup, 0.1)["pa"], frame, view="pa")
+    view = sl.calibrate(measure(np.random.default_rng(3), setup, 0.1)["pa"], frame, view="pa", method=method)
     at = np.array([[661, 610], [678, 617], [647, 590], [642, 621]])  # off the middle and off the interpolated grid
     lines = view.lines_of_sight(at.astype(np.float64))
     centre = lines.points_mm[0]
