@@ -124,27 +124,31 @@ FAULTS: list[tuple[str, str | set[str]]] = [
     ("any reset", "a reset names its fault"),
     ("sends wrong CRCs", "every message can be read"),
 ]  # fmt: skip
-FAULTS_IN_MOTION = [
-    ("lays it aside", {"dry run: aligns, and stands"}),
-    ("ignores STOP while moving", {"dry run: STOP while moving", "dry run: STOP while moving, on a second connection"}),
-    ("deaf to others while moving", {"dry run: STOP while moving, on a second connection"}),
-    ("moves on a repeat", {"dry run: a repeated command moves nothing"}),
-    ("never notices silence", {"dry run: silence stops motion"}),
-    ("goes on without its client", {"dry run: a lost client's motion stops"}),
-    ("moves in MANUAL", {"dry run: MOVE_TO_TARGET in MANUAL: 14 or 13"}),
-    ("moves by an expired plan", {"dry run: MOVE_TO_TARGET by an expired plan: 10"}),
-    ("keeps a refused target", {"dry run: MOVE_TO_TARGET after a refused target: 13"}),
-    ("drills unaligned", {"dry run: DRILL without alignment: 13"}),
-    ("drills without heartbeats", {"dry run: DRILL without heartbeats: 13"}),
-    ("drifts while it holds", {"dry run: holds still when aligned"}),
-    ("NaN as depth", {"dry run: states its depth"}),
-    ("aligns in the bone", {"dry run: aligns, and stands"}),
-]
-# Steps of a motion that must not have ended before it is judged.
-LONG = {"never notices silence": 300}
-LONG |= dict.fromkeys(
-    ("ignores STOP while moving", "deaf to others while moving", "moves on a repeat", "goes on without its client"), 150
-)
+FAULTS_IN_MOTION = {
+    "lays it aside": {"dry run: aligns, and stands"},
+    "ignores STOP while moving": {"dry run: STOP while moving", "dry run: STOP while moving, on a second connection"},
+    "deaf to others while moving": {"dry run: STOP while moving, on a second connection"},
+    "moves on a repeat": {"dry run: a repeated command moves nothing"},
+    "never notices silence": {"dry run: silence stops motion"},
+    "goes on without its client": {"dry run: a lost client's motion stops"},
+    "moves in MANUAL": {"dry run: MOVE_TO_TARGET in MANUAL: 14 or 13"},
+    "moves by an expired plan": {"dry run: MOVE_TO_TARGET by an expired plan: 10"},
+    "keeps a refused target": {"dry run: MOVE_TO_TARGET after a refused target: 13"},
+    "drills unaligned": {"dry run: DRILL without alignment: 13"},
+    "drills without heartbeats": {"dry run: DRILL without heartbeats: 13"},
+    "drifts while it holds": {"dry run: holds still when aligned"},
+    "NaN as depth": {"dry run: states its depth"},
+    "aligns in the bone": {"dry run: aligns, and stands"},
+}
+# Faults that do not touch each other: one robot has several, and fails the lines of each. With the steps of its motion,
+# which must not have ended before it is judged.
+IN_MOTION_TOGETHER = [
+    (25, "lays it aside", "moves in MANUAL", "moves by an expired plan", "keeps a refused target", "drills unaligned",
+     "drifts while it holds", "NaN as depth"),
+    (25, "aligns in the bone", "drills without heartbeats"),
+    (150, "deaf to others while moving", "moves on a repeat", "goes on without its client"),
+    (300, "ignores STOP while moving", "never notices silence"),
+]  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -152,7 +156,7 @@ def short_hold(monkeypatch):
     monkeypatch.setattr("sightline.robot.link.conformance.poses.HOLD_S", 0.6)
 
 
-# Faults that do not touch each other: one robot has several, and fails the line of each.
+# As above, of faults that show without a motion.
 TOGETHER = [
     ("another ACK text", "echoes another registration", "takes metres", "NaN in its joints", "takes any side",
      "takes any shot"),
@@ -170,15 +174,15 @@ TOGETHER = [
 LINES = {flaw: {lines} if isinstance(lines, str) else lines for flaw, lines in FAULTS}
 GROUPED = {flaw for group in TOGETHER for flaw in group}
 # Found by what does not come within its time.
-WAITED_FOR = {"late ACK", "keeps a lost client", "ignores unknown commands", "deaf to metadata", "whole pieces only"}
+WAITED_FOR = ("late ACK", "keeps a lost client", "ignores unknown commands", "deaf to metadata", "whole pieces only")
 
 
 @pytest.mark.parametrize(
     "flaws",
     [
         *TOGETHER,
-        *((flaw,) for flaw in LINES if flaw not in GROUPED | WAITED_FOR),
-        *(pytest.param((flaw,), marks=pytest.mark.slow) for flaw in sorted(WAITED_FOR)),
+        *((flaw,) for flaw in LINES if flaw not in GROUPED.union(WAITED_FOR)),
+        pytest.param(WAITED_FOR, marks=pytest.mark.slow),
     ],
     ids=", ".join,
 )
@@ -188,19 +192,23 @@ def test_a_bad_robot_fails_the_line_of_each_of_its_faults(flaws):
 
 
 @pytest.mark.parametrize(
-    ("flaw", "questions"),
-    [pytest.param(*one, id=one[0], marks=[pytest.mark.slow] if k else []) for k, one in enumerate(FAULTS_IN_MOTION)],
+    ("steps", "flaws"),
+    [
+        pytest.param(steps, flaws, id=", ".join(flaws), marks=[pytest.mark.slow] if k else [])
+        for k, (steps, *flaws) in enumerate(IN_MOTION_TOGETHER)
+    ],
 )
-def test_a_robot_that_is_bad_in_motion_fails_its_own_line(flaw, questions):
-    with scripted(flaw, steps=LONG.get(flaw, 25)) as port:
+def test_a_robot_that_is_bad_in_motion_fails_its_own_lines(steps, flaws):
+    with scripted(*flaws, steps=steps) as port:
         with Examination("127.0.0.1", port, SERIAL) as robot:
             found = robot.dry_run()
-        assert failed(found) == questions
+        assert failed(found) == set().union(*(FAULTS_IN_MOTION[flaw] for flaw in flaws))
 
 
 def test_every_question_has_its_bad_robot():
     asked = {question for _, question in FAULTS if isinstance(question, str)} | {"STOP is obeyed in every phase"}
-    asked |= {question for _, questions in FAULTS_IN_MOTION for question in questions}
+    asked |= set().union(*FAULTS_IN_MOTION.values())
+    assert sorted(flaw for _, *flaws in IN_MOTION_TOGETHER for flaw in flaws) == sorted(FAULTS_IN_MOTION)
     assert asked == {"every message can be read", *QUESTIONS, *MOTIONS}
 
 
