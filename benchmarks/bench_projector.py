@@ -21,13 +21,13 @@ from scipy.ndimage import map_coordinates
 from benchmarks import gvxr
 from benchmarks.harness import Rows, rms
 from sightline.frame import Frame
+from sightline.imaging.volumes.beam import WEIGHTS, attenuation_per_mm
+from sightline.imaging.volumes.rays import Rays, volume_integral
+from sightline.imaging.volumes.volume import Volume
 from sightline.twin import Scene, draw_setup
 from sightline.twin.objects.things import Ball
 from sightline.twin.xray.projector import MESH_SUB, mesh_lengths
 from sightline.twin.xray.render import pixel_rays, primary
-from sightline.volumes.beam import WEIGHTS, attenuation_per_mm
-from sightline.volumes.rays import Rays, volume_integral
-from sightline.volumes.volume import Volume
 
 MAX_S, MAX_MB, MAX_SHARE = 0.6, 1000.0, 0.01
 MAX_SMALL_S = 0.2  # 256³ voxels to 512²

@@ -10,7 +10,7 @@ from benchmarks.scenes.surfaces import Anatomy, anatomy, zero_surface
 
 from sightline.errors import SetUpError
 from sightline.imaging import Radiograph
-from sightline.volumes.ct import CtScan
+from sightline.imaging.volumes.ct import CtScan
 
 CENTRE, RADIUS, SIZE = np.array([31.3, -12.7, -404.2]), 22.6, np.array([1.05, 0.96, 1.02])
 

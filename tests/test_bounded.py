@@ -17,9 +17,9 @@ from sightline.detection.csv_files import read_detections, read_observations
 from sightline.errors import UnusableInputError
 from sightline.frame.tables import frame_from_csv, read_measurements
 from sightline.imaging import frames_in
+from sightline.imaging.volumes.ct import read_ct
+from sightline.imaging.volumes.meshes import read_mesh
 from sightline.studies.assess import read_points
-from sightline.volumes.ct import read_ct
-from sightline.volumes.meshes import read_mesh
 
 READERS: dict[str, Callable[[Path], object]] = {
     "image.dcm": sl.read_image,

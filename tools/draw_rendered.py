@@ -11,11 +11,11 @@ import numpy as np
 
 import sightline as sl
 from sightline.imaging import Radiograph, write_dicom
+from sightline.imaging.volumes import CtScan
+from sightline.imaging.volumes.ct import AIR_HU
+from sightline.imaging.volumes.filled import CORTICAL_HU
 from sightline.twin import render
 from sightline.twin.scenes.specimens import SetUpSpec, specimen
-from sightline.volumes import CtScan
-from sightline.volumes.ct import AIR_HU
-from sightline.volumes.filled import CORTICAL_HU
 
 SEED, SIDE = 3, 512
 

@@ -1,4 +1,4 @@
-"""Compute src/sightline/volumes/spectra.json: tungsten spectra and the attenuation of materials.
+"""Compute src/sightline/imaging/volumes/spectra.json: tungsten spectra and the attenuation of materials.
 
 Needs spekpy 2.5 (MIT, 208 MB of tables) and xraydb 4.5 (MIT), which the package does not need:
 `pip install --group tables`, then `python tools/make_spectra.py`. Bins of 5 keV; energy and attenuation of each are
@@ -12,7 +12,7 @@ import numpy as np
 import spekpy
 import xraydb
 
-OUT = Path(__file__).parents[1] / "src" / "sightline" / "volumes" / "spectra.json"
+OUT = Path(__file__).parents[1] / "src" / "sightline" / "imaging" / "volumes" / "spectra.json"
 BIN_KEV = 5.0
 ANODE_DEG = 12.0  # [mem]
 SPECTRA = {  # kVp, filters in mm

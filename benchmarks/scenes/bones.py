@@ -26,6 +26,7 @@ from sightline.calibration import CalibratedView
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
+from sightline.imaging.volumes.ct import CFCS_OF_PATIENT, WATER_PER_CM, CtScan
 from sightline.studies.scenes import calibrated_views
 from sightline.twin import SetUp, ViewTruth
 from sightline.twin.xray.distributions import SolidPlace
@@ -33,7 +34,6 @@ from sightline.twin.xray.presets import PRESETS, ImageChain
 from sightline.twin.xray.render import DOSES
 from sightline.twin.xray.setup import Variation, draw_setup
 from sightline.twin.xray.tubes import FlatPanel, draw_tube
-from sightline.volumes.ct import CFCS_OF_PATIENT, WATER_PER_CM, CtScan
 
 FIRST_SEED = 35_000  # of the judged scenes; 9000 to 9999 are for development
 ANATOMIES, CHAINS = ("femur", "pelvis", "vertebra"), ("panel", "panel low dose", "panel JPEG", "intensifier")

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from sightline.frame import Frame as Frame
     from sightline.from_images.pipeline import calibrate_image as calibrate_image
     from sightline.from_images.pipeline import check_shot as check_shot
+    from sightline.from_images.registration.render import render as render
     from sightline.imaging import Radiograph as Radiograph
     from sightline.imaging import read_image as read_image
     from sightline.planning import Aids as Aids
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from sightline.planning import reconstruct as reconstruct
     from sightline.planning.check.result import CheckShot as CheckShot
     from sightline.planning.check.shot import Landmarks as Landmarks
-    from sightline.registration.render import render as render
 
     # Declared, not imported: rooms below `case.saved` take `__version__` from here, and must not reach up to it.
     load: Callable[..., Any]
@@ -72,7 +72,7 @@ _HOMES = {
     "read_view": "calibration.exchange.formats",
     "plan": "planning",
     "reconstruct": "planning",
-    "render": "registration.render",
+    "render": "from_images.registration.render",
     "report": "case.report.page",
     "save": "case.saved",
     "view_from_matrix": "calibration",
@@ -127,7 +127,6 @@ _ROOMS = (
     "robot",
     "studies",
     "twin",
-    "volumes",
 )
 
 

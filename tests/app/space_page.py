@@ -23,9 +23,9 @@ from sightline.app.panels.space import SpaceView
 from sightline.app.web.serve import ServedApp, serve
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
+from sightline.imaging.volumes.volume import Volume
 from sightline.planning import kind, plan
 from sightline.robot.kinematics.designs import YAW, imaging_yaw, nominal_manipulator
-from sightline.volumes.volume import Volume
 
 HOSTILE = "<img src=x onerror='window.hacked=1'>"
 GROUPS = {"frame": "Frame", "views": "Views", "bone": "Bone", "rays": "Lines of sight", "wire": "Wire"}

@@ -25,11 +25,11 @@ from sightline.app.drawing.space import (
 from sightline.app.session.rehearsing import Patient
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
+from sightline.imaging.volumes.volume import Volume
 from sightline.rehearsal.patient import NAILED
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.kinematics.designs import PITCH, YAW, nominal_manipulator, six_axis
 from sightline.twin.anatomy.femur import Femur, voxelise
-from sightline.volumes.volume import Volume
 
 
 def of_kind(objects: list[dict], kind: str) -> list[dict]:

@@ -9,6 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.frame import Frame
+from sightline.imaging.volumes.rays import Rays, volume_integral
 from sightline.twin.anatomy.bone_model import BoneModel, PlaneAid, SphereAid
 from sightline.twin.anatomy.bones import DOME_MM, GrowingFemur, Pelvis, Vertebra
 from sightline.twin.anatomy.femur import to_cfcs
@@ -16,7 +17,6 @@ from sightline.twin.anatomy.shapes import ball, box, cone, half_space, plate
 from sightline.twin.scenes.bone_scene import BONES, bone_document, draw_origin, placed_bone, shown_bone_scene
 from sightline.twin.scenes.specimens import SetUpSpec, specimen
 from sightline.twin.xray.setup import with_errors
-from sightline.volumes.rays import Rays, volume_integral
 
 BLOCK, NAILED = Frame.load("block60"), "nailed-femur"
 BARE = [name for name in BONES if name != NAILED]

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
+from sightline.imaging.volumes.volume import Volume, bored
 from sightline.twin.anatomy.femur import BONE_PER_HU, Femur, to_cfcs, voxelise
 from sightline.twin.robot.drilling import AXIAL_N_PER_MM, Bone, Wire, sensed
-from sightline.volumes.volume import Volume, bored
 
 STEP_S = 0.005
 VOXEL_MM = 0.5

@@ -9,12 +9,12 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import OutsideRegionError, UnusableInputError
+from sightline.imaging.volumes.meshes import Mesh, read_mesh
+from sightline.imaging.volumes.rays import Rays
 from sightline.twin import Scene, draw_setup
 from sightline.twin.objects.things import Ball, Box, moved
 from sightline.twin.xray.projector import box_length, mesh_lengths
 from sightline.twin.xray.render import expose
-from sightline.volumes.meshes import Mesh, read_mesh
-from sightline.volumes.rays import Rays
 
 FOCAL = np.array([3.0, -7.0, -600.0])
 POINT = np.zeros((2, 3))  # a focal spot without size

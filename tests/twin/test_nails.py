@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import SetUpError
+from sightline.imaging.volumes.volume import Volume
 from sightline.twin.anatomy.nailed_femur import REACH_MM, SPACING_MM, TIP_MM, DistalNail
 from sightline.twin.robot.drilling import Bone, Wire
-from sightline.volumes.volume import Volume
 
 NAIL = DistalNail(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0]), np.array([0.6, 0.0, 0.8]))
 

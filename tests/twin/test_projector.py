@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sightline.common import threads
+from sightline.imaging.volumes.beam import TABLE_PER_CM, attenuation_per_mm
+from sightline.imaging.volumes.rays import Rays, volume_integral
 from sightline.twin.objects.things import Ball, Rod, SoftTissue, pack
 from sightline.twin.xray.projector import box_length, chord
-from sightline.volumes.beam import TABLE_PER_CM, attenuation_per_mm
-from sightline.volumes.rays import Rays, volume_integral
 
 FOCAL = np.array([3.0, -7.0, -600.0])
 

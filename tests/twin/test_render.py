@@ -9,6 +9,7 @@ from scipy.stats import norm
 
 from sightline.errors import SetUpError
 from sightline.frame import Frame
+from sightline.imaging.volumes.beam import THREE, WEIGHTS, attenuation_per_mm, spectrum
 from sightline.twin import DOSES, Dose, Scene, Variation, draw_setup, render, shown_hip_scene
 from sightline.twin.objects.things import Ball, Box, Rod, frame_boxes, frame_solids
 from sightline.twin.xray.distributions import Pose
@@ -24,7 +25,6 @@ from sightline.twin.xray.render import (
     tissue_mm,
 )
 from sightline.twin.xray.setup import shadow_centres_px, shadow_radius_px
-from sightline.volumes.beam import THREE, WEIGHTS, attenuation_per_mm, spectrum
 
 CHAIN = preset("9in-1k")
 

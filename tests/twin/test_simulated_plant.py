@@ -11,13 +11,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
+from sightline.imaging.volumes.volume import Volume
 from sightline.rehearsal.operation import joints_at_images
 from sightline.robot.kinematics.designs import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator, seven_axis, six_axis
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag
 from sightline.twin.robot.drilling import Bone
 from sightline.twin.robot.mjcf import Build, mjcf, units
 from sightline.twin.robot.plant import Hand, SimulatedPlant
-from sightline.volumes.volume import Volume
 
 pytest.importorskip("mujoco")
 NOMINAL = nominal_manipulator()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sightline.errors import UnusableInputError
+from sightline.imaging.volumes.beam import TABLE_KEV, TABLE_PER_CM, THREE, attenuation_per_mm, spectrum
 from sightline.twin import Scene, draw_setup
 from sightline.twin.objects.things import Ball, pack
 from sightline.twin.xray.presets import PRESETS
 from sightline.twin.xray.render import expose
-from sightline.volumes.beam import TABLE_KEV, TABLE_PER_CM, THREE, attenuation_per_mm, spectrum
 
 TUNGSTEN = ("70kVp-3Al", "70kVp-3Al-0.1Cu")
 

@@ -10,13 +10,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tests.twin.test_render import coarse
 
 from sightline.errors import SetUpError
+from sightline.imaging.volumes.beam import WEIGHTS, attenuation_per_mm
+from sightline.imaging.volumes.rays import Rays, volume_integral
+from sightline.imaging.volumes.volume import Volume, bored, fractured
 from sightline.twin import Scene, draw_setup, hip_scene, write_truth
 from sightline.twin.objects.things import Ball, BoneMotion, Box, Rod, SoftTissue, draw_motion, moved
 from sightline.twin.scenes.specimens import broken, plastic_hip
 from sightline.twin.xray.render import expose
-from sightline.volumes.beam import WEIGHTS, attenuation_per_mm
-from sightline.volumes.rays import Rays, volume_integral
-from sightline.volumes.volume import Volume, bored, fractured
 
 VOXEL = np.array([0.7, 0.8, 1.0])
 

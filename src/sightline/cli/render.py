@@ -12,7 +12,7 @@ from sightline.cli.base import Output, command, commands
 
 if TYPE_CHECKING:
     from sightline.calibration import CalibratedView
-    from sightline.volumes import CtScan
+    from sightline.imaging.volumes import CtScan
 
     Seen = tuple[CalibratedView, tuple[int, int] | None]
 
@@ -44,9 +44,9 @@ class Subject:
     def read(self) -> "CtScan":
         """Return the CT, or the mesh as one. Raises UnusableInputError."""
         from sightline.errors import UnusableInputError
-        from sightline.volumes import filled, read_ct, read_mesh
-        from sightline.volumes.filled import CORTEX_MM
-        from sightline.volumes.meshes import FILE_TYPES
+        from sightline.imaging.volumes import filled, read_ct, read_mesh
+        from sightline.imaging.volumes.filled import CORTEX_MM
+        from sightline.imaging.volumes.meshes import FILE_TYPES
 
         if self.what.suffix.lower().removeprefix(".") in FILE_TYPES:
             return filled(read_mesh(self.what), CORTEX_MM if self.cortex is None else self.cortex)
@@ -86,9 +86,9 @@ def render(
     back and head.
     """
     from sightline.errors import UnusableInputError
+    from sightline.from_images.registration import pose_file
+    from sightline.from_images.registration.render import render as rendered
     from sightline.imaging import write_dicom, write_png
-    from sightline.registration import pose_file
-    from sightline.registration.render import render as rendered
 
     write = {".dcm": write_dicom, ".png": write_png}.get(out.suffix.lower())
     if write is None:

@@ -28,6 +28,7 @@ from sightline.frame.designs import GAMMA_BEAMS, Balls, FrameDesign
 from sightline.frame.drawings.part import COVER_MM, THICKNESS_MM
 from sightline.frame.plate import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM
 from sightline.frame.solid_shape import FIELDS_MM
+from sightline.imaging.volumes.beam import attenuation_per_mm
 from sightline.studies.runs.plots import Span, spans
 from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, rms, share
 from sightline.studies.scenes import (
@@ -46,7 +47,6 @@ from sightline.twin import SetUp, bead_images
 from sightline.twin.objects.things import SoftTissue
 from sightline.twin.xray.distributions import NEAR_PLACE, SolidPlace
 from sightline.twin.xray.setup import Handling, Variation, displaced, in_use
-from sightline.volumes.beam import attenuation_per_mm
 
 INTERVAL = "rms (tick) with its 95 % interval (bar)"
 

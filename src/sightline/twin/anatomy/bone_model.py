@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from sightline.common.geometry.rigid import fibonacci_sphere
 from sightline.common.threads import in_parts
 from sightline.errors import SetUpError
+from sightline.imaging.volumes.meshes import Mesh
+from sightline.imaging.volumes.volume import Volume
 from sightline.twin.anatomy.femur import NARROWEST, Femur, placed, to_cfcs
 from sightline.twin.anatomy.shapes import FIRST, NUMBERS, SolidShape, depths, fill, nearest, texture
 from sightline.twin.xray.setup import ViewTruth
-from sightline.volumes.meshes import Mesh
-from sightline.volumes.volume import Volume
 
 DIRECTIONS = 200  # of the search for the nearest point, before it is refined
 BOUND = 0.85  # share of a depth that a distance is at least: barrels and ellipsoids are exact to first order only

@@ -14,8 +14,8 @@ from scipy.optimize import root_scalar
 from sightline.common.kernels import kernel
 from sightline.common.threads import in_parts
 from sightline.errors import SetUpError
+from sightline.imaging.volumes.volume import Volume
 from sightline.twin.anatomy.shapes import blend, ellipsoid_distance, step, texture
-from sightline.volumes.volume import Volume
 
 VOXEL_MM = 0.75
 SHORT_MM = 8.0  # distance of the ideal wire's tip from the surface of the head: 5-10 mm [physics.md, Planning figures]

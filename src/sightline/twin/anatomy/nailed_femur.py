@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import SetUpError
+from sightline.imaging.volumes.meshes import Mesh
 from sightline.twin.anatomy.bone_model import BoneModel, BonePart, TubeAid
 from sightline.twin.anatomy.shapes import cone, ellipsoid
-from sightline.volumes.meshes import Mesh
 
 # Sizes [ours, typical].
 SPACING_MM = 28.0  # between both holes; makers have 25 to 30 mm

@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.errors import SetUpError
 from sightline.frame import Fiducial, Frame, Plate, RigidBody
 from sightline.frame.drawings.part import COVER_MM, THICKNESS_MM, WASHER_MM
-from sightline.volumes.beam import THREE, excess_per_mm, spectrum
-from sightline.volumes.meshes import Mesh
-from sightline.volumes.volume import Volume
+from sightline.imaging.volumes.beam import THREE, excess_per_mm, spectrum
+from sightline.imaging.volumes.meshes import Mesh
+from sightline.imaging.volumes.volume import Volume
 
 Point: TypeAlias = tuple[float, float, float]
 PLATE_RIM_MM = 8.0  # [ours] from the outermost beads to the edge of a plate: room for a clamp

@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.common.kernels import kernel
 from sightline.errors import SetUpError
+from sightline.imaging.volumes.volume import Volume
 from sightline.twin.objects.things import WIRE_DIAMETER_MM
-from sightline.volumes.volume import Volume
 
 # Values [ours] without a source: physics.md, Drilling. Thrust: 35 N (d/2.5)(f_rev/0.06)^0.6 (density/1.9)².
 THRUST_N, FEED_PER_REV_MM, FEED_POWER, CORTICAL_G_CM3 = 35.0, 0.06, 0.6, 1.9

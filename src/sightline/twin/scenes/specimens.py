@@ -13,6 +13,9 @@ from scipy.spatial.transform import RigidTransform
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph
+from sightline.imaging.volumes.ct import ct_volumes, read_ct
+from sightline.imaging.volumes.meshes import FILE_TYPES, read_mesh
+from sightline.imaging.volumes.volume import bored, fractured
 from sightline.twin.anatomy.femur import BONE_PER_HU, Femur, draw_femur, to_cfcs, voxelise
 from sightline.twin.objects.things import (
     Ball,
@@ -39,9 +42,6 @@ from sightline.twin.scenes.hip_scene import (
     truth_document,
 )
 from sightline.twin.xray.setup import BEAMS, SetUp, ViewTruth, draw_setup
-from sightline.volumes.ct import ct_volumes, read_ct
-from sightline.volumes.meshes import FILE_TYPES, read_mesh
-from sightline.volumes.volume import bored, fractured
 
 ATTEMPTS = 100
 # Sizes and places without a source are [ours, typical].

@@ -6,7 +6,7 @@ import numpy as np
 
 from sightline.errors import UnusableInputError
 from sightline.frame.plate import FIELD_DIAMETER_MM
-from sightline.volumes.beam import THREE
+from sightline.imaging.volumes.beam import THREE
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 
 from sightline.common.kernels import kernel
 from sightline.common.threads import in_parts
+from sightline.imaging.volumes.rays import Rays, towards, within
 from sightline.twin.objects.things import COLUMNS
-from sightline.volumes.rays import Rays, towards, within
 
 CELL_PX = 16
 SUB = 4  # sub-rays per pixel and axis, for balls and rods

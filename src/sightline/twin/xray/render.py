@@ -19,14 +19,14 @@ from scipy.ndimage import map_coordinates
 from sightline.common.threads import at_once
 from sightline.errors import SetUpError
 from sightline.imaging import Radiograph
+from sightline.imaging.volumes.beam import attenuation_per_mm, excess_per_mm, spectrum
+from sightline.imaging.volumes.meshes import Mesh
+from sightline.imaging.volumes.rays import Rays, volume_integral
+from sightline.imaging.volumes.volume import Volume
 from sightline.twin.objects.things import RADIUS, Box, Scene, pack, plate_scene, stations
 from sightline.twin.xray.presets import ImageChain, Video
 from sightline.twin.xray.projector import CELL_PX, box_length, mesh_lengths, solid_transmission
 from sightline.twin.xray.setup import SetUp, ViewTruth, shadow_radius_px
-from sightline.volumes.beam import attenuation_per_mm, excess_per_mm, spectrum
-from sightline.volumes.meshes import Mesh
-from sightline.volumes.rays import Rays, volume_integral
-from sightline.volumes.volume import Volume
 
 RAY_MARGIN_PX = 6  # rays are cast this far beyond the blanking, as input of the blur
 RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-5 px

@@ -26,7 +26,7 @@ from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.reach import part_axes
 
 if TYPE_CHECKING:
-    from sightline.volumes.volume import Volume
+    from sightline.imaging.volumes.volume import Volume
 
 Object = dict[str, Any]
 

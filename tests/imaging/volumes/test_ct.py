@@ -11,9 +11,9 @@ from pydicom.dataset import FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
 from sightline.errors import UnusableInputError
-from sightline.volumes.beam import TABLE_PER_CM
-from sightline.volumes.ct import WATER_PER_CM, CtScan, ct_volumes, read_ct, shares_of_hu
-from sightline.volumes.rays import Rays, volume_integral
+from sightline.imaging.volumes.beam import TABLE_PER_CM
+from sightline.imaging.volumes.ct import WATER_PER_CM, CtScan, ct_volumes, read_ct, shares_of_hu
+from sightline.imaging.volumes.rays import Rays, volume_integral
 
 VOXEL = np.array([0.9, 1.1, 2.5])
 ORIGIN = np.array([-37.3, 21.9, -803.1])  # patient: left, back, head

@@ -13,10 +13,10 @@ import sightline as sl
 from sightline.case.interop.formats import transform_bytes
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.frame import Frame
-from sightline.registration.pose_file import read_pose
+from sightline.from_images.registration.pose_file import read_pose
+from sightline.imaging.volumes import CtScan, Mesh, filled
 from sightline.studies.scenes import measure
 from sightline.twin import draw_setup
-from sightline.volumes import CtScan, Mesh, filled
 
 WATER_PER_MM = 0.0206  # at 60 keV [calc, xraydb]
 RADIUS_MM, HU = 14.0, 700

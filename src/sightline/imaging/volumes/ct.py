@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from sightline.errors import UnusableInputError
-from sightline.volumes.beam import TABLE_PER_CM
-from sightline.volumes.nrrd import read_nrrd
-from sightline.volumes.volume import Volume
+from sightline.imaging.volumes.beam import TABLE_PER_CM
+from sightline.imaging.volumes.nrrd import read_nrrd
+from sightline.imaging.volumes.volume import Volume
 
 WATER_PER_CM = 0.206  # at 60 keV [calc, xraydb], where a CT number is taken as mu_water (1 + HU/1000)
 MAX_VOXELS = 2**28  # [ours] 1,024 slices of 512², 0.5 GB

@@ -10,8 +10,8 @@ from sightline.calibration.maps.localized import LocalizedMap
 from sightline.common.bounded import MAX_PIXELS
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.imaging import Radiograph
-from sightline.volumes.ct import AIR_HU, WATER_PER_CM, CtScan
-from sightline.volumes.rays import Rays, volume_integral
+from sightline.imaging.volumes.ct import AIR_HU, WATER_PER_CM, CtScan
+from sightline.imaging.volumes.rays import Rays, volume_integral
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -34,7 +34,7 @@ def render(
     view's focal point, on the side of it where the volume lies.
     Raises UnusableInputError, and OutsideRegionError if the view does not show the volume.
 
-    >>> from sightline.volumes import CtScan
+    >>> from sightline.imaging.volumes import CtScan
     >>> water = CtScan(np.zeros((61, 61, 41), np.int16), np.array([-30, -30, -20]), np.ones(3), np.eye(3))
     >>> P = np.array([[3000.0, 0, 256, 256 * 600], [0, 3000, 256, 256 * 600], [0, 0, 1, 600]])
     >>> int(sl.render(water, sl.view_from_matrix(P), shape=(512, 512)).pixels[256, 256])  # exp(-0.0206 / mm * 40 mm)

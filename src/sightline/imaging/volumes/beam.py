@@ -49,7 +49,8 @@ def _spectra() -> dict[str, Spectrum]:
     at = np.log(ENERGIES_KEV)
     three = {name: np.exp(np.interp(at, np.log(TABLE_KEV), np.log(row))) / 10 for name, row in TABLE_PER_CM.items()}
     spectra = {THREE: Spectrum(ENERGIES_KEV, WEIGHTS, three)}
-    for name, tube in json.loads(files("sightline.volumes").joinpath("spectra.json").read_text("utf-8")).items():
+    tubes = files("sightline.imaging.volumes").joinpath("spectra.json").read_text("utf-8")
+    for name, tube in json.loads(tubes).items():
         per_mm = {material: np.array(row) / 10 for material, row in tube["per_cm"].items()}
         spectra[name] = Spectrum(np.array(tube["kev"]), np.array(tube["weights"]), per_mm)
     return spectra

@@ -5,9 +5,9 @@ from scipy.ndimage import distance_transform_edt
 
 from sightline.common.kernels import kernel
 from sightline.errors import UnusableInputError
-from sightline.volumes.beam import TABLE_PER_CM
-from sightline.volumes.ct import AIR_HU, WATER_PER_CM, CtScan
-from sightline.volumes.meshes import Mesh
+from sightline.imaging.volumes.beam import TABLE_PER_CM
+from sightline.imaging.volumes.ct import AIR_HU, WATER_PER_CM, CtScan
+from sightline.imaging.volumes.meshes import Mesh
 
 CORTEX_MM = 3.0  # [ours] of a proximal femur: 5 mm lateral, 1.5 to 3 on the neck, 1 on the head (docs/physics.md)
 CORTICAL_HU = round(1000 * (TABLE_PER_CM["bone"][1] / WATER_PER_CM - 1))  # [calc] at 60 keV

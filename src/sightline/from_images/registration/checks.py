@@ -1,0 +1,91 @@
+"""What speaks for a bone's pose, and what against it: fit, rivals, field, agreement of the views."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from scipy.special import chdtri
+from scipy.stats import qmc
+
+from sightline.common.checks import FALSE_ALARM, Check, at_most
+from sightline.from_images.registration.align import MIDDLE, Fit, fit_at, moved
+from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.movement import Apart
+from sightline.from_images.registration.observed import Shot
+
+# Loss at the pose over that of the bone moved elsewhere. Right poses have 0.4 to 0.85, wrong ones and other bones 0.95
+# to 1.2 [gVirtualXray].
+MAX_LOSS_SHARE = 0.9
+_ELSEWHERE, _SHIFT_MM, _TURN_RAD = 12, 8.0, np.deg2rad(8.0)  # [ours] beyond any right pose, and still over the bone
+# [gVirtualXray] A second minimum of a right pose is worse by 0.15 of the loss at least.
+MIN_RIVAL_SHARE = 1.05
+MIN_IN_FIELD = 0.4  # of the bone, in each view [ours]: the head of a femur is 0.4 of a scan of 100 mm
+
+
+def checks(shots: Sequence[Shot], bone: Bone, fits: Sequence[Fit], apart: Apart, error_known: bool) -> list[Check]:
+    """Return the checks of the first of the `fits`, best first; `apart`: of its views."""
+    best = fits[0]
+    return [
+        _fit(shots, bone, best),
+        _rival(fits),
+        *(_in_field(shot, bone, best.pose) for shot in shots),
+        _movement(apart),
+        Check("error known", error_known, None, None, "", _KNOWN if error_known else _UNKNOWN),
+    ]
+
+
+_KNOWN = "All views state their errors."
+_UNKNOWN = (
+    "A view has no covariance, so the error of the bone's pose is unknown: calibrate the views from their beads, or "
+    "give their matrices with a covariance."
+)
+
+
+def _fit(shots: Sequence[Shot], bone: Bone, best: Fit) -> Check:
+    centre = best.pose.apply(bone.centre_mm)
+    ways = 2 * qmc.Halton(6, scramble=False).random(_ELSEWHERE + 1)[1:] - 1
+    ways[:, :3] *= _TURN_RAD / np.linalg.norm(ways[:, :3], axis=1, keepdims=True)
+    ways[:, 3:] *= _SHIFT_MM / np.linalg.norm(ways[:, 3:], axis=1, keepdims=True)
+    poses = [best.pose, *(moved(best.pose, way, centre) for way in ways)]
+    here, *elsewhere = (fit_at(shots, bone, MIDDLE, pose).loss for pose in poses)
+    share = here / float(np.median(elsewhere))
+    return at_most(
+        "bone fit", share, MAX_LOSS_SHARE, "",
+        f"The bone's shadows differ from the images {share:.2f} times as much as those of the bone moved elsewhere",
+        otherwise=": nothing fits. Check that CT or mesh are of this bone and this side, in mm and Hounsfield units, "
+        "that each image has its own view, and give a start.",
+    )  # fmt: skip
+
+
+def _rival(fits: Sequence[Fit]) -> Check:
+    """Return the check that no other pose fits as well."""
+    if len(fits) < 2:
+        return Check("bone elsewhere", True, None, None, "", "No other pose was found to fit.")
+    share = fits[1].loss / fits[0].loss
+    passed = share >= MIN_RIVAL_SHARE
+    sentence = f"The next pose that fits differs {share:.2f} times as much"
+    advice = ": the two cannot be told apart. Give a start, or points clicked in both views." if not passed else "."
+    return Check("bone elsewhere", passed, share, MIN_RIVAL_SHARE, "", sentence + advice, is_minimum=True)
+
+
+def _in_field(shot: Shot, bone: Bone, pose: RigidTransform) -> Check:
+    share = shot.share_seen(pose.apply(bone.points_mm))
+    passed = share >= MIN_IN_FIELD
+    sentence = f"{100 * share:.0f} % of the bone lie in the field"
+    advice = (
+        ": too little. Centre the C-arm on the bone, or crop the CT to what the image shows." if not passed else "."
+    )
+    return Check(
+        "bone in field", passed, 100 * share, 100 * MIN_IN_FIELD, "%", sentence + advice, is_minimum=True
+    ).of_view(shot.view.name)
+
+
+def _movement(apart: Apart) -> Check:
+    """Return the check that all views show the bone at one place."""
+    limit = float(np.sqrt(chdtri(apart.freedom, FALSE_ALARM)))
+    return at_most(
+        "bone movement", apart.sigma, limit, "s.d.",
+        f"The bone's poses in the single views differ by {apart.sigma:.1f} standard deviations",
+        otherwise=": it moved between the images, or CT or mesh have another size. Take both images again "
+        "without moving patient or frame.",
+    )  # fmt: skip

@@ -1,0 +1,36 @@
+"""Pictures of a registered bone: each image, the bone's shadow beside it, and the shadow's edges over the image."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sightline.common import draw as drawing
+from sightline.from_images.registration.align import FINE
+from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.cast import shadow
+from sightline.from_images.registration.observed import Shot
+
+_SIZE_PX = 256  # [ours] of a shadow
+_EDGE = 0.85  # quantile of the shadow's gradient above which there is an edge [ours]
+
+
+def draw(axes: Any, shots: Sequence[Shot], bone: Bone, pose: RigidTransform) -> None:
+    """Draw a row for each view: the image, the shadow alone, and the shadow's edges over the image."""
+    from matplotlib.colors import to_rgba
+
+    for row, shot in zip(axes, shots, strict=True):
+        seen = shot.pooled(_SIZE_PX)
+        shape = seen.attenuation.shape
+        drawn = shadow(seen.rays, bone.at(FINE.spacing_mm), pose).reshape(shape)
+        steep = np.hypot(*np.gradient(drawn))
+        edges = steep > np.quantile(steep[drawn > 0], _EDGE) if (drawn > 0).any() else drawn > 0
+        shown = [seen.attenuation, drawn, seen.attenuation]
+        for panel, picture, title in zip(row, shown, ("image", "bone", "edges of the bone"), strict=True):
+            panel.imshow(-picture, cmap="gray", interpolation="nearest")
+            panel.set_axis_off()
+            panel.set_title(f"{shot.view.name}: {title}", loc="left", fontsize="small")
+        over = np.zeros((*shape, 4))
+        over[edges] = to_rgba(drawing.ORANGE, 0.7)
+        row[2].imshow(over, interpolation="nearest")

@@ -1,1 +1,0 @@
-"""A CT or a mesh and calibrated views: what a view sees of it."""
