@@ -24,7 +24,7 @@ from rich.console import Console
 from scipy.spatial.transform import RigidTransform
 
 from campaigns.campaign import Finished
-from sightline.cli.robot import SERIAL
+from sightline.cli.robot.commands import SERIAL
 from sightline.errors import SightlineError
 from sightline.rehearsal.operation import calibrated_robot
 from sightline.robot.control.states import State

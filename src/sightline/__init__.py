@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from sightline.frame import Frame as Frame
     from sightline.from_images.pipeline import calibrate_image as calibrate_image
     from sightline.from_images.pipeline import check_shot as check_shot
+    from sightline.from_images.registration.face import register_bone as register_bone
     from sightline.from_images.registration.render import render as render
+    from sightline.from_images.registration.result import BonePose as BonePose
     from sightline.imaging import Radiograph as Radiograph
     from sightline.imaging import read_image as read_image
     from sightline.planning import Aids as Aids
@@ -55,6 +57,7 @@ _HOMES = {
     "SpacePoints": "planning",
     "Trajectory": "planning",
     "Aids": "planning",
+    "BonePose": "from_images.registration.result",
     "Circle": "planning",
     "Line": "planning",
     "Plan": "planning",
@@ -72,6 +75,7 @@ _HOMES = {
     "read_view": "calibration.exchange.formats",
     "plan": "planning",
     "reconstruct": "planning",
+    "register_bone": "from_images.registration.face",
     "render": "from_images.registration.render",
     "report": "case.report.page",
     "save": "case.saved",
@@ -92,6 +96,7 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "view_from_matrix",
     "read_view",
     "render",
+    "register_bone",
     "report",
     "save",
     "load",
@@ -105,6 +110,7 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "Plan",
     "CheckShot",
     "Landmarks",
+    "BonePose",
     "Aids",
     "Circle",
     "Line",

@@ -22,7 +22,7 @@ from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import CHECK_NAMES
-from sightline.cli.drive import _show, _target
+from sightline.cli.robot.drive import _show, _target
 from sightline.frame import Frame
 from sightline.imaging import write_dicom
 from sightline.planning.check.shot import ALIGNED, PAUSED

@@ -20,7 +20,7 @@ from tests.robot.test_by_images import measured, mount_file, pose_file
 from tests.robot.test_measured import measurements, true_robot
 
 from sightline.case.journal.originals import anonymous_name
-from sightline.cli.drive import DriveShots
+from sightline.cli.robot.drive import DriveShots
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.robot import contract
@@ -155,7 +155,7 @@ def test_every_prompt_may_be_answered_late(robot_file, plan, images, tmp_path, m
         raise UnusableInputError("no wire is seen")
 
     monkeypatch.setattr(Recorder, "heard", heard)
-    monkeypatch.setattr("sightline.cli.drive.planned_in", lambda *_: 1)
+    monkeypatch.setattr("sightline.cli.robot.drive.planned_in", lambda *_: 1)
     monkeypatch.setattr(DriveShots, "_measure", not_seen)
     monkeypatch.setattr(DriveShots, "_check", lambda *_: ({}, ()) if pass_time() else None)
     monkeypatch.setattr(DriveShots, "record_drilled", lambda *_: None)

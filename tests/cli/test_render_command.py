@@ -5,7 +5,7 @@ from pathlib import Path
 
 import nibabel
 import numpy as np
-from tests.registration.test_rendered import SHAPE, ball, camera
+from tests.imaging.test_rendered import SHAPE, ball, camera
 
 import sightline as sl
 

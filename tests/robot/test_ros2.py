@@ -68,7 +68,7 @@ def test_guide_target_and_verdict_are_published_in_metres() -> None:
     from geometry_msgs.msg import PoseStamped
     from std_msgs.msg import String
 
-    from sightline.cli.robot import published_poses
+    from sightline.cli.robot.commands import published_poses
     from sightline.robot.arms.ros2_poses import Ros2Poses
 
     received: dict[str, Any] = {}

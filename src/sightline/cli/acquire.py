@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from sightline.cli.base import Invert, Output, command, group
+from sightline.cli.base import Invert, Output, command, group, parse_address
 
 if TYPE_CHECKING:
     from sightline.case.acquire import Acquirer, News
@@ -154,7 +154,6 @@ def igtl(
     """
     from sightline.case.acquire.acquirer import take_frames
     from sightline.case.acquire.igtl import ImageLink
-    from sightline.cli.robot import parse_address
 
     host, port = parse_address(address)
     link = ImageLink(host, port, listen=listen, tell=output.note)
@@ -268,6 +267,5 @@ def _into(output: Output, into: Into) -> Generator[_Desk]:
 
 def _robot(address: str) -> "RobotWatch":
     from sightline.case.acquire.robot import RobotWatch
-    from sightline.cli.robot import parse_address
 
     return RobotWatch(*parse_address(address))

@@ -43,22 +43,15 @@ class Subject:
 
     def read(self) -> "CtScan":
         """Return the CT, or the mesh as one. Raises UnusableInputError."""
-        from sightline.errors import UnusableInputError
-        from sightline.imaging.volumes import filled, read_ct, read_mesh
-        from sightline.imaging.volumes.filled import CORTEX_MM
-        from sightline.imaging.volumes.meshes import FILE_TYPES
+        from sightline.from_images.registration import read_volume
 
-        if self.what.suffix.lower().removeprefix(".") in FILE_TYPES:
-            return filled(read_mesh(self.what), CORTEX_MM if self.cortex is None else self.cortex)
-        if self.cortex is not None:
-            raise UnusableInputError("a CT has its own cortex; leave out --cortex, which is for meshes")
-        return read_ct(self.what)
+        return read_volume(self.what, self.cortex)
 
 
 @command(
     commands,
     "render",
-    "sightline render hip.nrrd --view views/pa.opencv.json --pose pose.tfm --out drr.dcm",
+    "sightline render hip.nrrd --view pa.opencv.json --pose pose.tfm --out drr.dcm",
     "sightline render femur.stl --view matrix.csv --size 1024x1024 --out drr.png",
     "sightline render hip.nrrd --view pa:out/demo/case --out drr.png",
 )

@@ -13,7 +13,7 @@ import typer
 
 from sightline.cli.base import Output, WireKey, command, parse_address
 from sightline.cli.check_shot import NewImages, landmarks_of, measure_check, measure_shot
-from sightline.cli.robot import (
+from sightline.cli.robot.commands import (
     SERIAL,
     Simulator,
     Yes,

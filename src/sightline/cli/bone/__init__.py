@@ -1,0 +1,1 @@
+"""Commands that relate the CT or mesh of a bone to views."""

@@ -1,0 +1,1 @@
+"""Commands that serve, calibrate, register and drive a robot."""

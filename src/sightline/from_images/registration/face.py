@@ -1,0 +1,48 @@
+"""Registration of a CT or mesh, given as a scan or as a file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from sightline.calibration import CalibratedView
+from sightline.errors import UnusableInputError
+from sightline.from_images.registration import register
+from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.result import BonePose
+from sightline.from_images.registration.search import Start
+from sightline.imaging import Radiograph
+from sightline.imaging.volumes import CtScan, filled, read_ct, read_mesh
+from sightline.imaging.volumes.filled import CORTEX_MM
+from sightline.imaging.volumes.meshes import FILE_TYPES
+
+
+def read_volume(path: str | Path, cortex_mm: float | None = None) -> CtScan:
+    """Return a CT, or a mesh filled with `cortex_mm` of cortical bone (default: 3) around cancellous bone.
+
+    CT: NIfTI, NRRD or a folder of slices; closed mesh in mm: STL, PLY or OBJ. Raises UnusableInputError.
+    """
+    if Path(path).suffix.lower().removeprefix(".") in FILE_TYPES:
+        return filled(read_mesh(path), CORTEX_MM if cortex_mm is None else cortex_mm)
+    if cortex_mm is not None:
+        raise UnusableInputError("a CT has its own cortex; leave out --cortex, which is for meshes")
+    return read_ct(path)
+
+
+def register_bone(
+    volume: Bone | CtScan | str | Path,
+    images: Sequence[Radiograph],
+    views: Sequence[CalibratedView],
+    start: Start | None = None,
+) -> BonePose:
+    """Return the pose of a bone in CFCS, from its CT or mesh, two images or more, and the view of each.
+
+    `volume`: a CT that was cropped to the one bone, or the path of a CT or mesh (`read_volume`). `start`: about where
+    it lies; without one all rotations are tried, about where the images' middles meet. The pose takes the volume's
+    coordinates, mm, to CFCS; it comes with its error and checks. Raises UnusableInputError without bone in the volume,
+    without two images, where no view shows the start, or where the views' lines of sight are nearly parallel.
+
+    >>> import inspect
+    >>> list(inspect.signature(sl.register_bone).parameters)
+    ['volume', 'images', 'views', 'start']
+    """
+    scan = read_volume(volume) if isinstance(volume, str | Path) else volume
+    return register.register_bone(Bone.of_ct(scan) if isinstance(scan, CtScan) else scan, images, views, start)
