@@ -23,7 +23,7 @@ REPLAYED = ("pedicle-screw", NAILED)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("procedure", [*BONE_OF, CANNULATED, NAILED, "free-wire"])
+@pytest.mark.parametrize("procedure", [*BONE_OF, CANNULATED, NAILED])
 def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure: str) -> None:
     ran = run("demo", "--procedure", procedure, "--out", tmp_path / "demo", "--json")
     assert ran.code == 0, ran.err

@@ -5,6 +5,7 @@ The images show the block and soft tissue. Wire and landmarks are picked, with n
 
 import json
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -66,19 +67,9 @@ class Planned:
 
         `on_patient`: the frame in the images, where no encoder knows it; else the block on its mount.
         """
-        rng = np.random.default_rng([7, state == PAUSED])
-        stood = self.target.registration
-        q = self.target.q.copy()
-        q[FEED] += SHORT_MM[state]
-        tip = stood.T_mcs_cfcs.inv() * stood.robot.manipulator.T_mcs_tool(q)
-        along = tip.rotation.apply([0.0, 0.0, 1.0])
-        line = tip.translation - np.linspace(45.0, 0.0, 15)[:, None] * along + (0.0 if off_mm is None else off_mm)
-        moved: RigidTransform = stood.robot.frame_moved(stood.q, q, self.wire_mm.mean(axis=0))[0]
-        if on_patient is not None:
-            moved = draw_motion(rng, self.wire_mm.mean(axis=0), BoneMotion(15.0, 0.2))
-        line, found = moved.apply(line), moved.apply(self.marks_mm)
-        setup = drawn(rng, np.concatenate([line, found]), on_patient or BLOCK)
-        files = imaged(rng, setup, self.folder, state if on_patient is None else f"{state}-on-patient")
+        moved, line, setup, files = self._imaged(state, on_patient)
+        rng = np.random.default_rng([8, state == PAUSED])
+        line, found = moved.apply(line + (0.0 if off_mm is None else off_mm)), moved.apply(self.marks_mm)
 
         def picked(on: SetUp, xyz: np.ndarray) -> np.ndarray:
             uv = np.stack([on.views[name].project(xyz) for name in VIEWS])
@@ -89,6 +80,24 @@ class Planned:
         points = dict(zip(CHECK_NAMES, picked(setup, line).tolist(), strict=True))
         picks = picks_file(self.folder, landmarks=landmarks[:marks], wire_points=points, pick_sd_px=PICK_PX)
         return " ".join(map(str, (*files, picks))) + "\n"
+
+    @cache  # noqa: B019 - lives as long as the module's tests
+    def _imaged(self, state: str, on_patient: Frame | None) -> tuple[RigidTransform, np.ndarray, SetUp, list[Path]]:
+        """Return the motion of the block, points of the wire where the encoders have it, set-up and images: the same
+        for any wire and picks."""
+        rng = np.random.default_rng([7, state == PAUSED])
+        stood = self.target.registration
+        q = self.target.q.copy()
+        q[FEED] += SHORT_MM[state]
+        tip = stood.T_mcs_cfcs.inv() * stood.robot.manipulator.T_mcs_tool(q)
+        along = tip.rotation.apply([0.0, 0.0, 1.0])
+        line = tip.translation - np.linspace(45.0, 0.0, 15)[:, None] * along
+        moved: RigidTransform = stood.robot.frame_moved(stood.q, q, self.wire_mm.mean(axis=0))[0]
+        if on_patient is not None:
+            moved = draw_motion(rng, self.wire_mm.mean(axis=0), BoneMotion(15.0, 0.2))
+        setup = drawn(rng, moved.apply(np.concatenate([line, self.marks_mm])), on_patient or BLOCK)
+        name = state if on_patient is None else f"{state}-on-patient"
+        return moved, line, setup, imaged(rng, setup, self.folder, name)
 
 
 @pytest.fixture(scope="module")
