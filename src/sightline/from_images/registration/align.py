@@ -17,6 +17,7 @@ IMAGE_FLOOR, SHADOW_FLOOR = 0.01, 0.3  # of the local s.d. of attenuation [ours]
 FLAT = 0.05  # local s.d. of the shadow's attenuation at which a pixel has half its weight [ours]
 _SCALE = 0.7  # of a normalised difference beyond which it counts less [ours]
 _LEAST_AREA = 0.3  # of a window [ours]
+_GAP_PX = 5  # [ours] between the images of neighbouring points of a cut
 _UNIT = np.repeat([1 / 40.0, 1.0], 3)  # a rotation by 1 rad counts like a shift by 40 mm [ours]
 _DAMPING, _RIDGE = 1e-3, 1e-9  # of Levenberg and Marquardt's steps
 _STOP_MM = 0.003  # [ours] a tenth of the least error
@@ -115,10 +116,15 @@ def _differences(seen: Observed, bone: Bone, level: Level, pose: RigidTransform)
 
 
 def _beside(at: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return (H, W) bool: False within a window of the pixels `at` (N, 2), column and row."""
-    mask = np.ones(shape, dtype=np.uint8)
-    mask[at[:, 1], at[:, 0]] = 0
-    return cv2.erode(mask, np.ones((WINDOW // 2 + 2,) * 2)).astype(bool)
+    """Return (H, W) bool: False within a window of the rim of what the pixels `at` (N, 2), column and row, cover.
+
+    There the model ends and the bone does not. Within, a face that is seen from the front changes nothing.
+    """
+    covered = np.zeros(shape, dtype=np.uint8)
+    covered[at[:, 1], at[:, 0]] = 1
+    covered = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, np.ones((_GAP_PX, _GAP_PX)))
+    rim = cv2.morphologyEx(covered, cv2.MORPH_GRADIENT, np.ones((2 * (WINDOW // 4) + 3,) * 2))
+    return rim == 0
 
 
 def align(shots: Sequence[Shot], bone: Bone, level: Level, pose: RigidTransform) -> Fit:

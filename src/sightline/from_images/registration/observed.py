@@ -46,11 +46,13 @@ class Observed:
         return RayBundle(self.view.focal_point_mm, along)
 
     def around(self, xyz_mm: np.ndarray, margin: int = 4) -> "Observed":
-        """Return the part around the images of points (N, 3), CFCS, with a margin in pooled pixels."""
-        uv = (self.view.project_seen(xyz_mm)[0] - self.corner_px) / self.factor
-        shape = np.array(self.attenuation.shape[::-1])
-        if not len(uv):
+        """Return the part around the images of points (N, 3), CFCS, with a margin in pooled pixels; the whole image if
+        the view does not show all points."""
+        uv, seen = self.view.project_seen(xyz_mm)
+        if not seen.all():
             return self
+        uv = (uv - self.corner_px) / self.factor
+        shape = np.array(self.attenuation.shape[::-1])
         low = np.clip(np.floor(uv.min(axis=0)).astype(int) - margin, 0, shape - 2)
         high = np.clip(np.ceil(uv.max(axis=0)).astype(int) + margin + 1, low + 2, shape)
         part = slice(low[1], high[1]), slice(low[0], high[0])
@@ -126,9 +128,11 @@ class Shot:
 
 
 def _beads(image: Radiograph, view: CalibratedView) -> np.ndarray:
-    """Return centre and radius (N, 3) of all that looks like a ball, and of the frame's, whether seen or not."""
+    """Return centre and radius (N, 3) of the frame's balls, seen or not; without a frame of all that looks like one."""
+    if isinstance(view, BeadView):
+        return bead_shadows_px(view)
     try:
         found = detect(image)
     except DetectionRefusedError:
-        return bead_shadows_px(view)
-    return np.concatenate([bead_shadows_px(view), np.column_stack([found.uv_px, found.radius_px])])
+        return np.zeros((0, 3))
+    return np.column_stack([found.uv_px, found.radius_px])
