@@ -25,6 +25,7 @@ from tests.imaging.transcoding import transcoded
 from sightline.errors import ImageError
 from sightline.imaging import GeometryTags, Radiograph, as_radiograph, frames_in, read_image, taken_at, write_dicom
 from sightline.imaging.dicom import fill
+from sightline.imaging.quiet import Quiet
 
 PATIENT = "Doe^Jane^Secret"
 
@@ -472,13 +473,15 @@ def test_threads_that_read_leave_a_host_program_its_log_and_its_warnings(
     out.NumberOfFrames = 0  # pydicom warns of it
     path = saved(out, tmp_path)
     (tmp_path / "image.png").write_bytes(cv2.imencode(".png", scene())[1].tobytes())
-    before, log = _library_state(), logging.getLogger("pydicom")
-    done = Event()
+    log, done = logging.getLogger("pydicom"), Event()
 
-    def read() -> None:
-        for _ in range(20):
+    def read(times: int = 20) -> None:
+        for _ in range(times):
             read_image(path)
             read_image(tmp_path / "image.png")
+
+    read(1)
+    before = _library_state()
 
     def host() -> int:
         said = 0
@@ -511,3 +514,18 @@ def test_kernels_compile_after_a_dicom_file_was_read(tmp_path: Path) -> None:
         "assert njit(lambda x: x.sum())(pixels) == 64 * 64 * 500"
     )
     subprocess.run([sys.executable, "-c", program, str(path)], check=True)  # noqa: S603
+
+
+def test_what_is_quiet_stays_a_host_programs_first_filter_and_is_there_once() -> None:
+    """And matches nothing once it is over."""
+    pydicom_, pillow = Quiet("ignore", "pydicom", all_threads=True), Quiet("error", "PIL")
+    with warnings.catch_warnings():
+        for _ in range(3):
+            with pydicom_(), pillow():
+                assert pydicom_.match("pydicom.dataset")
+        assert sum(one[3] in (pydicom_, pillow) for one in warnings.filters) == 2
+        warnings.simplefilter("error")
+        with pydicom_():
+            warnings.warn_explicit("of the library", UserWarning, "", 1, "pydicom.dataset")
+        with pytest.raises(UserWarning):
+            warnings.warn_explicit("of the library", UserWarning, "", 2, "pydicom.dataset")
