@@ -43,8 +43,10 @@ demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo
 test: $(TOOLS) $(KERNELS)  ## the whole suite: about five minutes on two cores
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations=10
 
+# A process more than cores: robots move in real time, and a test that waits leaves its core idle.
 slow: $(TOOLS) $(KERNELS)  ## what is too slow for `make test`; on Linux with ROS 2
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n auto --dist loadfile --no-loadscope-reorder --durations=10
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n $$($(BIN)/python -c 'import os; print(os.cpu_count() + 1)') \
+	  --dist loadfile --no-loadscope-reorder --durations=10
 	test "$$(uname)" != Linux || $(MAKE) ros2
 
 # ROS 2 restarts each Python that it is installed for, so it has an environment of its own, which sees the other.

@@ -16,13 +16,14 @@ from scipy.special import expit
 import sightline as sl
 from campaigns.campaign import Campaign, Damage, Ended
 from campaigns.person import Clicks, Shown, judged
+from sightline.detection import Observations
 from sightline.frame import Frame
 from sightline.from_images.pipeline import label_beads, view_of
 from sightline.imaging import Radiograph
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.studies.scenes import VIEWS
 
-BASES = 12  # patients; the same for every seed
+BASES, FIRST = 12, 1000  # patients, and the first one's seed; the same for every try
 Picture = tuple[np.ndarray, Shown]  # pixels, 0 to 1, and the map from original to shown pixel coordinates
 Spoil = Callable[[np.ndarray, np.random.Generator], Picture]
 
@@ -31,9 +32,9 @@ Spoil = Callable[[np.ndarray, np.random.Generator], Picture]
 def base(number: int) -> Rehearsal:
     """Return a patient with images; right and left hips alternate, and pairs of Γ and block."""
     frame = Frame.load(("gamma", "block60")[number // 2 % 2])
-    patient = Rehearsal.draw(1000 + number, frame, ("right", "left")[number % 2])
+    patient = Rehearsal.draw(FIRST + number, frame, ("right", "left")[number % 2])
     if gvxr.INSTALLED:
-        rng = np.random.default_rng([1000, number])
+        rng = np.random.default_rng([FIRST, number])
         parts = gvxr.hip_parts(patient.setup.true_frame, patient.hip.wire_mm)
         draw = gvxr.intensifier_image if frame.solid is None else gvxr.panel_image
         vars(patient)["images"] = {name: draw(patient.setup.views[name], parts, rng) for name in VIEWS}
@@ -48,11 +49,22 @@ def read(pixels: np.ndarray, white: int = 65535) -> Radiograph:
 
 def planned(images: dict[str, Radiograph], rehearsal: Rehearsal, clicks: Clicks) -> Ended:
     """Return the verdict on two images, as from `sightline plan`."""
-    frame, views = rehearsal.setup.frame, []
+    views = []
     for name in VIEWS:
-        beads = sl.detect(images[name])
-        views.append(view_of(label_beads(images[name], beads, frame, name, live=True), images[name], frame))
+        image, whole = images[name], images[name] is rehearsal.images[name]
+        beads = of_base(rehearsal.seed - FIRST, name) if whole else labelled(image, rehearsal, name)
+        views.append(view_of(beads, image, rehearsal.setup.frame))
     return judged(clicks.plan(views), rehearsal.hip.wire_mm)
+
+
+def labelled(image: Radiograph, rehearsal: Rehearsal, name: str) -> Observations:
+    return label_beads(image, sl.detect(image), rehearsal.setup.frame, name, live=True)
+
+
+@lru_cache(maxsize=2 * BASES)
+def of_base(number: int, name: str) -> Observations:
+    """Return the beads of an image that no damage changed."""
+    return labelled(base(number).images[name], base(number), name)
 
 
 def damage(spoil: Spoil, *cause: str, both: bool = False, white: int = 65535) -> Damage:

@@ -16,7 +16,8 @@ TRIES = {"points": 1, "images": 1, "files": 2, "robots": 1, "kills": 1, "pages":
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TRIES)
-def test_no_try_ends_in_a_defect(name: str) -> None:
+def test_no_try_ends_in_a_defect(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("campaigns.images.BASES", 8)  # patients; each is rendered
     for number, (damage_name, damage) in enumerate(called(name).classes.items()):
         for k in range(TRIES[name]):
             ended = attempt(damage.make, np.random.default_rng([91, number, k]))
