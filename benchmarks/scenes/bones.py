@@ -22,7 +22,7 @@ from benchmarks import gvxr
 from benchmarks.gvxr import Parts, above
 from benchmarks.scenes.blocks import block
 from benchmarks.scenes.surfaces import Anatomy, anatomy
-from sightline.calibration import CalibratedView
+from sightline.calibration import CalibratedView, view_from_matrix
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
@@ -117,10 +117,29 @@ class BoneScene:
         """
         return self._calibrated
 
+    def exact_views(self) -> list[CalibratedView]:
+        """Return the true views of a panel, without an error. Raises SetUpError for an intensifier, which no matrix
+        describes."""
+        if self.strata["chain"] == "intensifier":
+            raise SetUpError("an intensifier's image is distorted; take the views calibrated from the beads")
+        free = np.zeros((12, 12))
+        return [view_from_matrix(panel_matrix(view), free, name) for name, view in self.true_views.items()]
+
     @cached_property
     def _calibrated(self) -> list[CalibratedView]:
         seen = {name: sl.label(sl.detect(image), self.setup.frame, name) for name, image in self.images.items()}
         return calibrated_views(self.setup, seen)
+
+
+def panel_matrix(view: ViewTruth) -> np.ndarray:
+    """Return the matrix (3, 4) that takes CFCS, mm, to the pixels of an undistorted image."""
+    focal, plane = view.focal_point_mm, view.detector
+    corner, right, down = view.intensifier.to_image(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    to_px = np.vstack([np.column_stack([right - corner, down - corner, corner]), [0.0, 0.0, 1.0]])
+    height = plane.normal @ (plane.origin_mm - focal)
+    foot_mm = plane.axes @ (focal - plane.origin_mm)
+    rays = to_px @ np.vstack([height * plane.axes + np.outer(foot_mm, plane.normal), plane.normal])
+    return np.column_stack([rays, -rays @ focal])
 
 
 def draw_bone_scene(
