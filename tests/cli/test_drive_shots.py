@@ -263,8 +263,11 @@ def test_the_check_shot_judges_where_the_robot_says_all_is_right(
     assert told["verified"] is (code == 0)
     assert told["check_shot"]["landmarks"] == 3
     off = told["check_shot"]["deviation"]["tip_mm"]
-    assert off == pytest.approx(np.linalg.norm(told["true_wire_mm"][1] - np.array(told["end_mm"])), abs=0.5)
+    true_off = np.linalg.norm(told["true_wire_mm"][1] - np.array(told["end_mm"]))
+    assert off == pytest.approx(true_off, abs=0.5)
     assert (off > 3.0) is (code == 3)
+    # Bone bends the wire and squeezes it, and the robot is not as it is known: in air the tip is where encoders say.
+    assert code == 3 or 0.02 < true_off < 1.0
     report = run("case", "report", rehearsed / "case", "--out", rehearsed / f"report-{code}")
     assert report.code == 0, report.err
     page = (rehearsed / f"report-{code}" / "report.html").read_text()
