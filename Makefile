@@ -38,15 +38,15 @@ demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo
 	$(BIN)/sightline demo
 	@touch $(KERNELS)
 
-# A process for each core, a file of tests on one of them: files share fixtures; in their order, that the longest (app) do
-# not come last. Matrices are small: a thread each will do.
-test: $(TOOLS) $(KERNELS)  ## the whole suite: about five minutes on two cores
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations=10
+# A process more than cores, since robots are waited for in real time; a file of tests on one of them: files share
+# fixtures; in their order, that the longest (app) do not come last. Matrices are small: a thread each will do.
+PROCESSES = -n $$($(BIN)/python -c 'import os; print(os.cpu_count() + 1)') --dist loadfile --no-loadscope-reorder
 
-# A process more than cores: robots move in real time, and a test that waits leaves its core idle.
+test: $(TOOLS) $(KERNELS)  ## the whole suite: about five minutes on two cores
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PROCESSES) --durations=10
+
 slow: $(TOOLS) $(KERNELS)  ## what is too slow for `make test`; on Linux with ROS 2
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n $$($(BIN)/python -c 'import os; print(os.cpu_count() + 1)') \
-	  --dist loadfile --no-loadscope-reorder --durations=10
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow $(PROCESSES) --durations=10
 	test "$$(uname)" != Linux || $(MAKE) ros2
 
 # ROS 2 restarts each Python that it is installed for, so it has an environment of its own, which sees the other.
@@ -60,7 +60,7 @@ $(VENV)/.ros2: $(TOOLS) requirements-ros2.lock
 	@touch $@
 
 coverage: $(TOOLS) $(KERNELS)  ## the suite, and which lines of the source it runs
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PROCESSES) \
 	  --cov=sightline --cov-report=term:skip-covered
 
 bench: $(TOOLS)  ## the figures of docs/benchmarks.md, each beside its peer
