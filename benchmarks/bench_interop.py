@@ -22,7 +22,7 @@ from sightline.calibration.exchange.formats import write_view
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.dicom import ExportIdentity, capture, file_bytes
 from sightline.case.interop.formats import T_cfcs_wire, T_lps_cfcs, transform_bytes
-from sightline.case.interop.slicer import nrrd_bytes, plate_corner
+from sightline.case.interop.slicer import plate_bytes, plate_corner
 from sightline.imaging import Radiograph, write_dicom
 
 SEED, VIEWS, POINTS = 41, 40, 20
@@ -100,7 +100,7 @@ def _simple_itk(view: Pinhole, folder: Path) -> dict[str, Any]:
     to_lps, pixels, points = T_lps_cfcs(SIDE), _pixels(view), _points(view)
     wire = to_lps @ T_cfcs_wire(points[:2])
     (folder / "wire.tfm").write_bytes(transform_bytes(wire, "wire"))
-    (folder / "plate.nrrd").write_bytes(nrrd_bytes(pixels, view, to_lps, "a plan"))
+    (folder / "plate.nrrd").write_bytes(plate_bytes(pixels, view, to_lps, "a plan"))
     (folder / "pa.rtk.mha").write_bytes(write_view(view, "rtk", pixels)["pa.rtk.mha"])
     transform = SimpleITK.ReadTransform(str(folder / "wire.tfm"))
     image, projection = (SimpleITK.ReadImage(str(folder / name)) for name in ("plate.nrrd", "pa.rtk.mha"))

@@ -38,6 +38,7 @@ _FILES = (  # in the order in which `sightline --help` lists their commands
     "check_shot",
     "simulate",
     "bone.render",
+    "bone.register_bone",
     "study",
     "frame.make",
     "frame.measured",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sightline.twin.scenes.specimens import Specimen
 
 AS_MADE = "frame-as-made.json"
-_ACCESSORIES = 1  # stream of the accessories, beside that of set-up and noise
+_ACCESSORIES, _SCANNER = 1, 2  # streams of the accessories and of the CT, beside that of set-up and noise
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,7 @@ class SceneOptions:
     "sightline simulate object --seed 4 --frame-errors 7 --out out/frame-7",
     "sightline simulate hip --frame block60 --out out/block",
     "sightline simulate pelvis --frame block60 --out out/pelvis",
+    "sightline simulate hip --seed 9 --write-bone out/bone.nrrd --out out/hip",
 )
 def simulate(
     output: Output,
@@ -114,6 +115,15 @@ def simulate(
         bool | None,
         typer.Option(
             help="Write the nominal geometry into the DICOM files. By default for a solid, as a flat panel does.",
+            show_default=False,
+        ),
+    ] = None,
+    write_bone: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the hip's bone as a CT (.nrrd) in coordinates of its own, and beside it its true pose "
+            "(.pose.json), which takes them to CFCS.",
             show_default=False,
         ),
     ] = None,
@@ -134,6 +144,7 @@ def simulate(
     rng = np.random.default_rng(scene.seed)
     with output.step("drawing the set-up"):
         drawn, frame, made = scene.drawn(rng)
+    bone = [] if write_bone is None else _bone(write_bone, drawn, np.random.default_rng([scene.seed, _SCANNER]))
     images = {}
     for view in drawn.setup.views:
         with output.step(f"exposing {view}"):
@@ -151,9 +162,23 @@ def simulate(
             made.save(scratch / AS_MADE)
     if not drawn.shown:
         output.note(f"the field of {chain} does not show everything; see the pixels in truth.json")
-    written = [out / name for name in (*files, "truth.json", *([] if made is None else [AS_MADE]))]
+    written = [out / name for name in (*files, "truth.json", *([] if made is None else [AS_MADE]))] + bone
     output.written(written)
     output.result({**truth, "frame": frame.key, "side": scene.side, "files": written})
+
+
+def _bone(file: Path, drawn: "Specimen", rng: "np.random.Generator") -> list[Path]:
+    """Write the CT of the bone and its true pose; return both files. Raises UnusableInputError."""
+    from sightline.common.atomic import write_whole
+    from sightline.errors import UnusableInputError
+    from sightline.imaging.volumes.ct import write_ct
+    from sightline.twin.scenes.bone_ct import bone_ct
+
+    if file.suffix.lower() != ".nrrd":
+        raise UnusableInputError(f"{file.name} is not an .nrrd; name the CT to write so")
+    scan, pose = bone_ct(drawn.scene, drawn.setup.side, rng)
+    document = as_json({"coordinates": "CFCS", "matrix": pose.as_matrix()})
+    return [write_ct(scan, file), write_whole(file.with_suffix(".pose.json"), document.encode())]
 
 
 def _place(text: str) -> list[float]:

@@ -3,7 +3,6 @@
 Everything is in patient LPS, mm, with the CFCS origin. Slicer uses RAS inside and converts the files on reading.
 """
 
-import gzip
 from collections.abc import Sequence
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -15,6 +14,7 @@ from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.interop.formats import T_cfcs_wire, T_lps_cfcs, transform_bytes
 from sightline.case.interop.plan_file import PlanFile
 from sightline.common.geometry.lines import unit
+from sightline.imaging.volumes.nrrd import nrrd_bytes
 
 _RAS_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _SLICES = ("Red", "Yellow", "Green")
@@ -30,7 +30,7 @@ def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
         pixels = plan.pixels(view)
         if pixels is not None:
             images[view] = pinhole
-            files[f"{view}-plate.nrrd"] = nrrd_bytes(pixels[0], pinhole, to_lps, description)
+            files[f"{view}-plate.nrrd"] = plate_bytes(pixels[0], pinhole, to_lps, description)
     # Slicer places objects by the inverse of the mapping in a file, so these files map to the wire and to CFCS.
     wire = to_lps @ T_cfcs_wire(plan.points_mm)
     files["wire.tfm"] = transform_bytes(
@@ -175,9 +175,6 @@ def markup_bytes(
     return json_bytes({"@schema": _SCHEMA, "markups": [markup]})
 
 
-_TYPES = {"uint8": "unsigned char", "uint16": "unsigned short", "float32": "float"}
-
-
 def plate_corner(pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
     """Return the centre (3,) of the plate image's first pixel, CFCS mm, and the steps (3, 3) to the next column, to the
     next row, and of 1 mm along the beam."""
@@ -187,27 +184,9 @@ def plate_corner(pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
     return corner, np.diag([across, down, 1.0]) @ pinhole.rotation
 
 
-def nrrd_bytes(pixels: np.ndarray, pinhole: Pinhole, T_lps_cfcs: np.ndarray, statement: str) -> bytes:
+def plate_bytes(pixels: np.ndarray, pinhole: Pinhole, T_lps_cfcs: np.ndarray, statement: str) -> bytes:
     """Return an undistorted image (H, W) at the position of its plate, one voxel thick. Raises UnusableInputError."""
     corner, steps = plate_corner(pinhole)
     rotation = T_lps_cfcs[:3, :3]
-    height, width = pinhole.own_image(pixels).shape
-    lines = (
-        "NRRD0005",
-        f"type: {_TYPES[pixels.dtype.name]}",
-        "dimension: 3",
-        "space: left-posterior-superior",
-        f"sizes: {width} {height} 1",
-        "space directions: " + " ".join(_vector(rotation @ step) for step in steps),
-        "kinds: domain domain domain",
-        "endian: little",
-        "encoding: gzip",
-        f"space origin: {_vector(rotation @ corner + T_lps_cfcs[:3, 3])}",
-        f"sightline:={statement}",
-    )
-    raw = pixels.astype(pixels.dtype.newbyteorder("<"), copy=False).tobytes()
-    return ("\n".join(lines) + "\n\n").encode("ascii", "replace") + gzip.compress(raw, mtime=0)
-
-
-def _vector(xyz: np.ndarray) -> str:
-    return "(" + ",".join(repr(float(x) + 0.0) for x in xyz) + ")"
+    pixels = pinhole.own_image(pixels)
+    return nrrd_bytes(pixels.T[:, :, None], rotation @ corner + T_lps_cfcs[:3, 3], steps @ rotation.T, statement)

@@ -12,16 +12,21 @@ from sightline.cli.base import Output, command, commands
 
 if TYPE_CHECKING:
     from sightline.calibration import CalibratedView
+    from sightline.case.views import CalibratedImage
     from sightline.imaging.volumes import CtScan
 
     Seen = tuple[CalibratedView, tuple[int, int] | None]
 
+VIEW_HELP = (
+    "File of a view: a matrix of 3x4 numbers, of another program, of `sl.save`; or the folder of a case. NAME, such as "
+    "pa, where it holds several"
+)
 _SAVED = re.compile(rb'"sightline-(matrix-)?view/')
 
 
 @dataclass(frozen=True)
-class Subject:
-    """What is seen, and where it lies."""
+class VolumeFile:
+    """The CT or mesh of a bone."""
 
     what: Annotated[
         Path,
@@ -29,14 +34,6 @@ class Subject:
             metavar="CT|MESH", help="CT (NIfTI, NRRD, folder of slices), or closed mesh in mm (STL, PLY, OBJ)."
         ),
     ]
-    pose: Annotated[
-        Path | None,
-        typer.Option(
-            help="Rigid transform from the CT's or mesh's coordinates to the view's: 4x4 in JSON, or .tfm of ITK; by "
-            "default they are the same.",
-            show_default=False,
-        ),
-    ] = None
     cortex: Annotated[
         float | None, typer.Option(help="Cortex of a mesh, mm.", show_default="3: a femur has 1 to 5")
     ] = None
@@ -58,15 +55,16 @@ class Subject:
 def render(
     output: Output,
     *,
-    subject: Subject,
-    view: Annotated[
-        str,
+    subject: VolumeFile,
+    view: Annotated[str, typer.Option(metavar="[NAME:]VIEW", help=f"{VIEW_HELP}.")],
+    pose: Annotated[
+        Path | None,
         typer.Option(
-            metavar="[NAME:]VIEW",
-            help="File of a view: a matrix of 3x4 numbers, of another program, of `sl.save`; or the folder of a case. "
-            "NAME, such as pa, where it holds several.",
+            help="Rigid transform from the CT's or mesh's coordinates to the view's: 4x4 in JSON, or .tfm of ITK; by "
+            "default they are the same.",
+            show_default=False,
         ),
-    ],
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Image to write: .dcm, or .png of 16 bits.")],
     size: Annotated[
         str | None,
@@ -88,11 +86,11 @@ def render(
         raise UnusableInputError(f"{out.name} is neither .dcm nor .png; name the image to write so")
     given = None if size is None else _shape(size)
     seen, stated = read_seen(view)
-    pose = None if subject.pose is None else pose_file.read_pose(subject.pose)
+    placed = None if pose is None else pose_file.read_pose(pose)
     with output.step("reading"):
         volume = subject.read()
     with output.step("casting rays"):
-        image = rendered(volume, seen, pose, given or stated)
+        image = rendered(volume, seen, placed, given or stated)
     write(image, out)
     output.written([out])
     output.result({"view": seen.name, "shape": image.shape, "white": image.white, "file": out})
@@ -111,7 +109,8 @@ def read_seen(given: str) -> "Seen":
     name, colon, path = given.partition(":")
     name, file = (name, Path(path)) if colon and len(name) > 1 else (None, Path(given))  # C:\... is a path of Windows
     if file.is_dir():
-        return _of_case(file, name), None
+        calibrated = {each.name: each.view for each in newest_of_case(file, name)[1]}
+        return calibrated[_one_of(calibrated, name, file)], None
     is_json = file.suffix.lower() == ".json"
     if is_json and _SAVED.search(read_bounded(file, MAX_JSON_BYTES, UnusableInputError, "give the file of a view")):
         saved = load(file)
@@ -121,13 +120,18 @@ def read_seen(given: str) -> "Seen":
     return pinhole.view(), pinhole.shape
 
 
-def _of_case(folder: Path, name: str | None) -> "CalibratedView":
+def newest_of_case(folder: Path, name: str | None = None) -> "tuple[str, list[CalibratedImage]]":
+    """Return the number of a case, and its newest calibrated image of each view, or of the view `name` alone if there
+    is one; computed again. Raises CaseError.
+    """
     from sightline.case.journal import Case, Kind
     from sightline.case.replay import Recomputed
 
     with Case.open(folder, read_only=True) as case:
         newest = {str(entry.content["view"]): entry for entry in case.entries(Kind.CALIBRATED)}
-        return Recomputed(case).calibrated(newest[_one_of(newest, name, folder)]).view
+        again = Recomputed(case)
+        chosen = [name] if name in newest else newest
+        return case.number, [again.calibrated(newest[view]) for view in chosen]
 
 
 def _one_of(views: Iterable[str], name: str | None, place: Path) -> str:

@@ -1,9 +1,10 @@
 """Registration of a CT or mesh, given as a scan or as a file."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from sightline.calibration import CalibratedView
+from sightline.calibration import BeadView, CalibratedView
 from sightline.errors import UnusableInputError
 from sightline.from_images.registration import register
 from sightline.from_images.registration.bone import Bone
@@ -37,12 +38,23 @@ def register_bone(
 
     `volume`: a CT that was cropped to the one bone, or the path of a CT or mesh (`read_volume`). `start`: about where
     it lies; without one all rotations are tried, about where the images' middles meet. The pose takes the volume's
-    coordinates, mm, to CFCS; it comes with its error and checks. Raises UnusableInputError without bone in the volume,
-    without two images, where no view shows the start, or where the views' lines of sight are nearly parallel.
+    coordinates, mm, to CFCS; it comes with its error, and with the views' checks and its own.
+
+    Raises UnusableInputError without bone in the volume, without two images or their own views, where no view shows
+    the start, or where the views' lines of sight are nearly parallel.
 
     >>> import inspect
     >>> list(inspect.signature(sl.register_bone).parameters)
     ['volume', 'images', 'views', 'start']
     """
+    for image, view in zip(images, views, strict=False):
+        if isinstance(view, BeadView) and view.image_shape != image.shape:
+            raise UnusableInputError(
+                f"view {view.name} is of an image of another size; give each image its own view, in the same order"
+            )
     scan = read_volume(volume) if isinstance(volume, str | Path) else volume
-    return register.register_bone(Bone.of_ct(scan) if isinstance(scan, CtScan) else scan, images, views, start)
+    bone = Bone.of_ct(scan) if isinstance(scan, CtScan) else scan
+    found = register.register_bone(bone, images, views, start)
+    return replace(
+        found, checks=(*(check.of_view(view.name) for view in views for check in view.checks), *found.checks)
+    )

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -13,6 +14,7 @@ from sightline.from_images.registration.cast import shadow
 from sightline.from_images.registration.observed import Shot
 
 _SIZE_PX = 256  # [ours] of a shadow
+_BEAD = np.ones((17, 17), dtype=np.uint8)  # [ours] pixels that hold a bead, or two that touch
 _EDGE = 0.85  # quantile of the shadow's gradient above which there is an edge [ours]
 
 
@@ -24,7 +26,9 @@ def draw(axes: Any, shots: Sequence[Shot], bone: Bone, pose: RigidTransform) -> 
         seen = shot.pooled(_SIZE_PX)
         shape = seen.attenuation.shape
         drawn = shadow(seen.rays, bone.at(FINE.spacing_mm), pose).reshape(shape)
-        steep = np.hypot(*np.gradient(drawn))
+        field = cv2.morphologyEx(seen.usable.astype(np.uint8), cv2.MORPH_CLOSE, _BEAD)  # lines of sight, and beads
+        drawn *= field
+        steep = np.hypot(*np.gradient(drawn)) * cv2.erode(field, _BEAD[:5, :5])  # an edge of the field is none of bone
         edges = steep > np.quantile(steep[drawn > 0], _EDGE) if (drawn > 0).any() else drawn > 0
         shown = [seen.attenuation, drawn, seen.attenuation]
         for panel, picture, title in zip(row, shown, ("image", "bone", "edges of the bone"), strict=True):

@@ -66,19 +66,20 @@ class BonePose(Plotted):
 
     def summary(self) -> str:
         """Return the pose with its error, and the checks that failed."""
+        return "\n".join([*self.sentences(), *checks_lines(self.checks, len(self.checks))])
+
+    def sentences(self) -> list[str]:
+        """Return the pose with its error."""
         turn = np.rad2deg(self.pose.rotation.as_rotvec())
         error = "error unknown"
         if self.covariance is not None:
             sd = np.rad2deg(np.sqrt(np.diag(self.covariance)[:3]).max())
             error = f"95 % error {self.error_95_mm:.2f} mm at its centre; rotation to {1.96 * sd:.2f}°"
-        return "\n".join(
-            [
-                f"Bone in {len(self.shots)} views: {', '.join(shot.view.name for shot in self.shots)}",
-                f"  centre {numbers(self.centre_mm, 2)} mm, CFCS; rotation vector {numbers(turn, 2)}°",
-                f"  {error}",
-                *checks_lines(self.checks, len(self.checks)),
-            ]
-        )
+        return [
+            f"Bone in {len(self.shots)} views: {', '.join(shot.view.name for shot in self.shots)}",
+            f"  centre {numbers(self.centre_mm, 2)} mm, CFCS; rotation vector {numbers(turn, 2)}°",
+            f"  {error}",
+        ]
 
     def document(self) -> dict[str, Any]:
         """Return pose, error and checks as JSON types; `matrix` is 4 x 4, mm."""
@@ -93,6 +94,9 @@ class BonePose(Plotted):
 
     def _new_axes(self, figure: Any) -> Any:
         return figure.subplots(len(self.shots), 3, squeeze=False)
+
+    def _size_in(self) -> tuple[float, float]:
+        return 6.0, 2.2 * len(self.shots)
 
     def _draw(self, ax: Any) -> None:
         from sightline.from_images.registration.pictures import draw

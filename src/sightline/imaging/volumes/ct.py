@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.common.atomic import write_whole
 from sightline.errors import UnusableInputError
 from sightline.imaging.volumes.beam import TABLE_PER_CM
-from sightline.imaging.volumes.nrrd import read_nrrd
+from sightline.imaging.volumes.nrrd import nrrd_bytes, read_nrrd
 from sightline.imaging.volumes.volume import Volume
 
 WATER_PER_CM = 0.206  # at 60 keV [calc, xraydb], where a CT number is taken as mu_water (1 + HU/1000)
@@ -100,6 +101,17 @@ def shares_of_hu(hu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     tissue = np.interp(mu, [0.0, soft, hard], [0.0, 1.0, 0.0])
     bone = np.where(mu < hard, np.interp(mu, [soft, hard], [0.0, 1.0]), mu / hard)
     return tissue.astype(np.float32), bone.astype(np.float32)
+
+
+def hu_of_bone(share: np.ndarray) -> np.ndarray:
+    """Return the CT numbers of mixtures of cortical bone, by their shares, and soft tissue; `shares_of_hu` reversed."""
+    soft, hard = TABLE_PER_CM["tissue"][1], TABLE_PER_CM["bone"][1]
+    return 1000 * ((soft + share * (hard - soft)) / WATER_PER_CM - 1)
+
+
+def write_ct(scan: CtScan, path: str | Path) -> Path:
+    """Write a scan as NRRD; return its path. Raises UnusableInputError where it cannot be written."""
+    return write_whole(path, nrrd_bytes(scan.hu, scan.origin_mm, scan.voxel_mm[:, None] * scan.axes, "CT"))
 
 
 def _nifti(file: Path) -> CtScan:

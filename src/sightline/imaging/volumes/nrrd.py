@@ -32,6 +32,7 @@ _TYPES = {  # those that hold CT numbers
     "f4": ("float",),
     "f8": ("double",),
 }
+_WRITTEN = {"uint8": "unsigned char", "uint16": "unsigned short", "int16": "short", "float32": "float"}
 _ENDIANS = {"little": "<", "big": ">"}
 _OPEN: dict[str, Callable[[Any], Any]] = {
     "raw": lambda stream: stream,
@@ -68,6 +69,32 @@ class Nrrd:
             raise UnusableInputError(
                 f"{self.file.name} is truncated or damaged, or holds more than it states; copy or export it again"
             ) from error
+
+
+def nrrd_bytes(values: np.ndarray, origin_mm: np.ndarray, steps_mm: np.ndarray, statement: str) -> bytes:
+    """Return a volume (nx, ny, nz) as a file: uint8, uint16, int16 or float32, in patient coordinates (LPS), mm.
+
+    `origin_mm` (3,): of the first voxel. Index i, j, k steps by a row of `steps_mm` (3, 3).
+    """
+    lines = (
+        "NRRD0005",
+        f"type: {_WRITTEN[values.dtype.name]}",
+        "dimension: 3",
+        "space: left-posterior-superior",
+        "sizes: " + " ".join(map(str, values.shape)),
+        "space directions: " + " ".join(_vector(step) for step in steps_mm),
+        "kinds: domain domain domain",
+        "endian: little",
+        "encoding: gzip",
+        f"space origin: {_vector(origin_mm)}",
+        f"sightline:={statement}",
+    )
+    raw = values.astype(values.dtype.newbyteorder("<"), copy=False).tobytes(order="F")
+    return ("\n".join(lines) + "\n\n").encode("ascii", "replace") + gzip.compress(raw, mtime=0)
+
+
+def _vector(xyz: np.ndarray) -> str:
+    return "(" + ",".join(repr(float(x) + 0.0) for x in xyz) + ")"
 
 
 def read_nrrd(file: Path) -> Nrrd:

@@ -1,0 +1,199 @@
+"""`sightline register-bone`: where the bone of a CT or mesh lies in two images or more."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.base import ImagesFrame, Output, as_json, command, commands, frame_of_images
+from sightline.cli.bone.render import VIEW_HELP, VolumeFile, newest_of_case, read_seen
+
+if TYPE_CHECKING:
+    from sightline.calibration import CalibratedView
+    from sightline.case.views import CalibratedImage
+    from sightline.from_images.registration import BonePose, Start
+    from sightline.imaging import Radiograph
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBone:
+    """Images and their views, and what identifies them: digests by what they are of."""
+
+    images: "list[Radiograph]"
+    views: "list[CalibratedView]"
+    inputs: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ShotFiles:
+    """The images that show the bone, and their views."""
+
+    images: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="IMAGE...", help="Images, two or more; without --view PA, lateral, oblique."),
+    ] = None
+    view: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME:]VIEW",
+            help=f"{VIEW_HELP}. One for each image, in their order; by default calibrated from the beads in it.",
+        ),
+    ] = None
+    frame: ImagesFrame = None
+    case: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of a case: its newest image and calibration of each view, instead of images and views.",
+            show_default=False,
+        ),
+    ] = None
+
+    def read(self, output: Output) -> SeenBone:
+        """Return the images and their views. Raises UnusableInputError, and what reading and calibrating raise."""
+        from sightline.errors import UnusableInputError
+        from sightline.imaging import read_image
+
+        files, views = self.images or [], self.view or []
+        if self.case is not None:
+            if files or views or self.frame:
+                raise UnusableInputError("--case gives images and views; leave the others out")
+            return _of_beads(*newest_of_case(self.case))
+        if len(files) < 2 or len(views) not in (0, len(files)):
+            raise UnusableInputError(
+                f"{len(files)} images and {len(views)} views are given; give two images or more, and --view for each "
+                "in the same order or for none, or --case"
+            )
+        if not views:
+            return _of_beads("", self._calibrated(output, files))
+        if self.frame:
+            raise UnusableInputError("--view gives the views; leave out --frame, which is for images with beads")
+        images, seen = [read_image(file) for file in files], [read_seen(view)[0] for view in views]
+        return SeenBone(images, seen, {"images": [digest_of(file) for file in files], "views": views})
+
+    def _calibrated(self, output: Output, files: Sequence[Path]) -> "Sequence[CalibratedImage]":
+        from sightline.case.stages import given_images
+        from sightline.case.views import calibrate_images
+
+        frame = frame_of_images(output, self.frame)
+        return calibrate_images(given_images(files, frame).seen, frame, "smooth")
+
+
+def _of_beads(case: str, calibrated: "Sequence[CalibratedImage]") -> SeenBone:
+    """Return images that show the beads that their views were calibrated from. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    images = [each.seen.image for each in calibrated if each.seen.image is not None]
+    if len(images) < max(2, len(calibrated)):
+        raise UnusableInputError("two calibrated images are needed, no tables of beads; give or acquire them")
+    inputs = {"images": [each.seen.source for each in calibrated], "views": [each.name for each in calibrated]}
+    return SeenBone(images, [each.view for each in calibrated], inputs | ({"case": case} if case else {}))
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """About where the bone lies."""
+
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="POSE",
+            help="Pose within 10 mm and 10° of the bone's: 4x4 in JSON, or .tfm of ITK. Without a start all "
+            "rotations are tried.",
+            show_default=False,
+        ),
+    ] = None
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Two named points or more of the CT or mesh: markups of 3D Slicer (.mrk.json), or CSV "
+            "name,coordinates,x_mm,y_mm,z_mm with the coordinates LPS or RAS. Needs --clicks.",
+            show_default=False,
+        ),
+    ] = None
+    clicks: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Pixels of the points in the images: CSV name,view,u,v.", show_default=False),
+    ] = None
+
+    def read(self, shown: SeenBone) -> "Start | None":
+        """Return the start. Raises UnusableInputError, and what reading and triangulating raise."""
+        from sightline.calibration.exchange.markups import read_points
+        from sightline.errors import UnusableInputError
+        from sightline.from_images.registration import Start
+        from sightline.from_images.registration.clicks import read_clicks, start_of_clicks
+        from sightline.from_images.registration.pose_file import read_pose
+
+        if (self.points is None) != (self.clicks is None):
+            raise UnusableInputError("--points and --clicks belong together; give both")
+        if self.points is None or self.clicks is None:
+            return None if self.start is None else Start(read_pose(self.start))
+        if self.start is not None:
+            raise UnusableInputError("--start and --points both give a start; leave one out")
+        return start_of_clicks(read_points(self.points), read_clicks(self.clicks), shown.views)
+
+
+@command(
+    commands,
+    "register-bone",
+    "sightline register-bone out/bone.nrrd out/hip/pa.dcm out/hip/lateral.dcm \\",
+    "  --out out/bone-pose",
+    "sightline register-bone hip.nrrd ap.png lateral.png --start start.json \\",
+    "  --view ap.opencv.json --view lateral.opencv.json --out out/bone-pose",
+    "sightline register-bone femur.stl --case mycase --points femur.mrk.json \\",
+    "  --clicks clicks.csv --out out/bone-pose",
+)
+def register_bone(
+    output: Output,
+    *,
+    volume: VolumeFile,
+    shots: ShotFiles,
+    beginning: Beginning,
+    out: Annotated[Path | None, typer.Option(help="Folder for the pose, for 3D Slicer too, and a picture.")] = None,
+) -> None:
+    """Find the pose of a bone's CT or mesh in two images.
+
+    The CT holds one bone, as it is now. Exit code 3 where a check failed; the files are written all the same.
+    """
+    from sightline import register_bone as registered
+
+    with output.step("reading"):
+        shown = shots.read(output)
+        start = beginning.read(shown)
+        scan = volume.read()
+    with output.step("registering the bone"):
+        found = registered(scan, shown.images, shown.views, start)
+    document = {**found.document(), "inputs": {"volume": digest_of(volume.what), **shown.inputs}}
+    for sentence in found.sentences():
+        output.say(sentence)
+    if out is not None:
+        output.written(_write(out, found, document))
+    output.result(document, found.checks)
+
+
+def _write(folder: Path, found: "BonePose", document: dict[str, Any]) -> list[Path]:
+    """Write pose and picture; return the files."""
+    import numpy as np
+
+    from sightline.case.interop.formats import transform_bytes
+    from sightline.common.atomic import write_folder
+
+    # Slicer places objects by the inverse of the mapping in a file.
+    for_slicer = transform_bytes(
+        np.linalg.inv(found.pose.as_matrix()), "3D Slicer: places the CT or mesh in CFCS, mm; other programs: invert it"
+    )
+    files = {"bone-pose.json": as_json(document).encode(), "bone-pose.tfm": for_slicer, "bone.png": found.png()}
+    return write_folder(folder, files)
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file, or of the digests of a folder's files in the order of their names."""
+    from hashlib import file_digest, sha256
+
+    if path.is_dir():
+        own = [digest_of(file) for file in sorted(path.iterdir()) if file.is_file()]
+        return f"sha256:{sha256(' '.join(own).encode()).hexdigest()}"
+    with path.open("rb") as stream:
+        return f"sha256:{file_digest(stream, 'sha256').hexdigest()}"
