@@ -142,6 +142,7 @@ class CheckCode(StrEnum):
     C_ARM_CLEARANCE = "c-arm-clearance"
     FRAME_REMOUNT = "frame-remount"
     BONE_FIT = "bone-fit"
+    BONE_SHAPE = "bone-shape"
     BONE_ELSEWHERE = "bone-elsewhere"
     BONE_IN_FIELD = "bone-in-field"
     BONE_MOVEMENT = "bone-movement"

@@ -106,7 +106,7 @@ def _around(shots: Sequence[Shot], bone: Bone, level: Level, pose: RigidTransfor
 def _differences(seen: Observed, bone: Bone, level: Level, pose: RigidTransform) -> Differences:
     shape = seen.attenuation.shape
     shadow, by_pose = shadow_and_derivatives(seen.rays, bone.at(level.spacing_mm), pose, pose.apply(bone.centre_mm))
-    usable = seen.usable & _beside(seen.at(pose.apply(bone.cut_mm)), shape)
+    usable = seen.known & _beside(seen.at(pose.apply(bone.cut_mm)), shape)
     weight = usable.astype(np.float64)
     drawn = Normalised.of(shadow.reshape(shape), weight, SHADOW_FLOOR)
     shown = Normalised.of(seen.attenuation, weight, IMAGE_FLOOR)

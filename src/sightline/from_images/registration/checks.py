@@ -8,8 +8,9 @@ from scipy.special import chdtri
 from scipy.stats import qmc
 
 from sightline.common.checks import FALSE_ALARM, Check, at_most
-from sightline.from_images.registration.align import MIDDLE, Fit, fit_at, moved
+from sightline.from_images.registration.align import FINE, MIDDLE, Fit, fit_at, moved
 from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.edges import shifts_px
 from sightline.from_images.registration.movement import Apart
 from sightline.from_images.registration.observed import Shot
 
@@ -19,6 +20,9 @@ MAX_LOSS_SHARE = 0.9
 _ELSEWHERE, _SHIFT_MM, _TURN_RAD = 12, 8.0, np.deg2rad(8.0)  # [ours] beyond any right pose, and still over the bone
 # [gVirtualXray] A second minimum of a right pose is worse by 0.15 of the loss at least.
 MIN_RIVAL_SHARE = 1.05
+# Three quarters of all edges lie at most so far from those of the image. Right bones have up to 0.4 mm, beside metal
+# and in images of an intensifier; another person's, or the same scaled by 2 %, 0.5 to 1 mm [gVirtualXray].
+MAX_EDGE_MM, _EDGES = 0.45, 0.75
 MIN_IN_FIELD = 0.4  # of the bone, in each view [ours]: the head of a femur is 0.4 of a scan of 100 mm
 
 
@@ -27,6 +31,7 @@ def checks(shots: Sequence[Shot], bone: Bone, fits: Sequence[Fit], apart: Apart,
     best = fits[0]
     return [
         _fit(shots, bone, best),
+        _shape(shots, bone, best),
         _rival(fits),
         *(_in_field(shot, bone, best.pose) for shot in shots),
         _movement(apart),
@@ -54,6 +59,23 @@ def _fit(shots: Sequence[Shot], bone: Bone, best: Fit) -> Check:
         f"The bone's shadows differ from the images {share:.2f} times as much as those of the bone moved elsewhere",
         otherwise=": nothing fits. Check that CT or mesh are of this bone and this side, in mm and Hounsfield units, "
         "that each image has its own view, and give a start.",
+    )  # fmt: skip
+
+
+def _shape(shots: Sequence[Shot], bone: Bone, best: Fit) -> Check:
+    """Return the check that the shadows have the outlines that the images show."""
+    centre, shifts = best.pose.apply(bone.centre_mm), []
+    for shot, view in zip(shots, best.views, strict=True):
+        found = shifts_px(view)
+        shifts.append(found * [shot.pooled(FINE.size).mm_per_px(centre), 1.0])
+    length, information = np.concatenate(shifts)[np.argsort(np.concatenate(shifts)[:, 0])].T
+    share = np.cumsum(information) / information.sum() if len(information) else np.zeros(0)
+    figure = float(length[np.searchsorted(share, _EDGES)]) if len(share) else float("inf")
+    return at_most(
+        "bone shape", figure, MAX_EDGE_MM, "mm",
+        f"Three quarters of the edges of the bone's shadow lie within {figure:.2f} mm of those in the images",
+        otherwise=": it has another shape. Is it another person's, another side's, or in other units, did a fragment "
+        "move, or is the segmentation too wide?",
     )  # fmt: skip
 
 

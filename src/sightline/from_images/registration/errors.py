@@ -8,6 +8,7 @@ from sightline.calibration import CalibratedView, LinesOfSight
 from sightline.common.geometry.covariance import joined
 from sightline.common.geometry.rigid import displacement
 from sightline.from_images.registration.align import Differences
+from sightline.from_images.registration.similarity import block_sums
 
 # Residuals next to each other are alike: their windows overlap, and an edge that the model lacks runs through many.
 # Blocks of 8 and 32 pixels state 0.9 and 1.2 times the error [gVirtualXray].
@@ -27,20 +28,13 @@ def of_images(views: Sequence[Differences]) -> np.ndarray:
         each = view.by_pose.reshape(-1, 6)
         curvature += each.T @ (each * second.reshape(-1, 1))
         information += each.T @ (each * first.reshape(-1, 1))
-        sums = _block_sums(view.by_pose * (first * view.residual)[:, :, None])
+        sums = block_sums(view.by_pose * (first * view.residual)[:, :, None], _BLOCK_PX)
         pulls += sums.T @ sums
         count += np.count_nonzero(sums.any(axis=1))
     alike = np.trace(np.linalg.pinv(information) @ pulls) / 6 * information
     pulls += 6 / (count + 6) * (alike - pulls)
     response = np.linalg.pinv(curvature)
     return response @ pulls @ response.T
-
-
-def _block_sums(values: np.ndarray) -> np.ndarray:
-    """Return the sums (N, K) of (H, W, K) over blocks of pixels."""
-    for axis in (0, 1):
-        values = np.add.reduceat(values, np.arange(0, values.shape[axis], _BLOCK_PX), axis=axis)
-    return values.reshape(-1, values.shape[2])
 
 
 def of_calibration(views: Sequence[CalibratedView], centre_mm: np.ndarray, spread_mm: np.ndarray) -> np.ndarray | None:

@@ -33,17 +33,29 @@ class Observed:
     corner_px: np.ndarray
 
     @cached_property
+    def calibrated(self) -> np.ndarray:
+        """(H, W) bool: where the view knows its lines of sight."""
+        near = self.view.hull.is_near(self._uv_px) if isinstance(self.view, BeadView) else True
+        return np.broadcast_to(near, len(self._uv_px)).reshape(self.attenuation.shape)
+
+    @cached_property
+    def known(self) -> np.ndarray:
+        """(H, W) bool: usable and calibrated."""
+        return self.usable & self.calibrated
+
+    @cached_property
     def rays(self) -> RayBundle:
-        """The rays of the pooled pixels, row by row."""
-        rows, columns = np.indices(self.attenuation.shape)
-        uv = np.stack([columns.ravel(), rows.ravel()], axis=1) * self.factor + (self.factor - 1) / 2 + self.corner_px
-        near = self.view.hull.is_near(uv) if isinstance(self.view, BeadView) else np.ones(len(uv), dtype=bool)
-        along = np.zeros((len(uv), 3))
-        lines = self.view.lines_of_sight(uv[near])
+        """The rays of the pooled pixels, row by row; where none is calibrated, any other."""
+        near = self.calibrated.ravel()
+        lines = self.view.lines_of_sight(self._uv_px[near])
+        along = np.tile(lines.directions[:1], (len(near), 1))
         along[near] = lines.directions
-        along[~near] = lines.directions.mean(axis=0)
-        self.usable.ravel()[~near] = False
         return RayBundle(self.view.focal_point_mm, along)
+
+    @cached_property
+    def _uv_px(self) -> np.ndarray:
+        rows, columns = np.indices(self.attenuation.shape)
+        return np.stack([columns.ravel(), rows.ravel()], axis=1) * self.factor + (self.factor - 1) / 2 + self.corner_px
 
     def around(self, xyz_mm: np.ndarray, margin: int = 4) -> "Observed":
         """Return the part around the images of points (N, 3), CFCS, with a margin in pooled pixels; the whole image if
@@ -59,15 +71,25 @@ class Observed:
         return replace(
             self,
             attenuation=self.attenuation[part],
-            usable=self.usable[part].copy(),
+            usable=self.usable[part],
             corner_px=self.corner_px + low * self.factor,
         )
 
+    def mm_per_px(self, xyz_mm: np.ndarray) -> float:
+        """Return the size of a pooled pixel at a point (3,), CFCS."""
+        distance = np.linalg.norm(xyz_mm - self.view.focal_point_mm)
+        lines = self.view.lines_of_sight(self.view.project(xyz_mm[None]) + np.eye(2))
+        return float(self.factor * distance * np.linalg.norm(lines.directions[1] - lines.directions[0]) / 2**0.5)
+
     def at(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the column and row (M, 2) of the pooled pixels that show points (N, 3), CFCS."""
-        at = np.rint((self.view.project_seen(xyz_mm)[0] - self.corner_px) / self.factor - 0.5 + 0.5 / self.factor)
+        at = self.pooled_px(self.view.project_seen(xyz_mm)[0])
         inside = ((at >= 0) & (at < np.array(self.attenuation.shape[::-1]))).all(axis=1)
-        return at[inside].astype(int)
+        return at[inside]
+
+    def pooled_px(self, uv_px: np.ndarray) -> np.ndarray:
+        """Return the column and row (N, 2), int, of the pooled pixels that hold pixels (N, 2)."""
+        return np.rint((uv_px - self.corner_px - (self.factor - 1) / 2) / self.factor).astype(int)
 
 
 @dataclass(frozen=True, eq=False)

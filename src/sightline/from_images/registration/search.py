@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import qmc
@@ -34,6 +34,7 @@ _NEAR, _ALL = 100, 2000
 _REFINED_NEAR, _REFINED_ALL = 8, 24
 _LEVELS = (COARSE, 6), (MIDDLE, 2), (FINE, 2)
 _SAME_MM = 1.0  # fits nearer to each other are one [ours]
+_NOWHERE = -1.0  # less than any correlation of a shadow with an image
 _FIELD_MM = 150.0  # without a start the bone lies at most so far from where the images' middles meet [ours]
 
 
@@ -123,29 +124,30 @@ def _shifted(
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """A whole image, normalised, with the transforms that correlations need."""
+    """A whole image, normalised, with the transforms that correlations need; `inner` (H, W) bool: calibrated pixels
+    whose neighbours are calibrated too."""
 
     seen: Observed
-    usable: np.ndarray
+    inner: np.ndarray
     spectra: tuple[np.ndarray, np.ndarray]
 
     @staticmethod
     def of(seen: Observed) -> "_Shown":
-        _ = seen.rays  # which marks the pixels that the view does not reach
-        usable = seen.usable.astype(np.float64)
+        usable = seen.known.astype(np.float64)
         values = Normalised.of(seen.attenuation, usable, IMAGE_FLOOR).values * usable
         size = [2 * n for n in usable.shape]
-        return _Shown(seen, usable, (np.fft.rfft2(values, size), np.fft.rfft2(values**2, size)))
+        inner = cv2.erode(seen.calibrated.astype(np.uint8), np.ones((3, 3))).astype(bool)
+        return _Shown(seen, inner, (np.fft.rfft2(values, size), np.fft.rfft2(values**2, size)))
 
     def match(
         self, volume: Volume, pose: RigidTransform, centre_mm: np.ndarray, reach_mm: float
     ) -> tuple[float, np.ndarray] | None:
         """Return the best correlation of a shadow with the image, and the pixel (2,) at which it has the shadow's
         centre."""
-        at, seen = self.seen.view.project_seen(np.array([centre_mm, centre_mm + reach_mm * self._right]))
-        if not seen.all():
+        at, shown = self.seen.view.project_seen(centre_mm[None])
+        if not shown[0]:
             return None
-        shape = self.usable.shape
+        shape = self.inner.shape
         drawn = Normalised.of(shadow(self.seen.rays, volume, pose).reshape(shape), np.ones(shape), SHADOW_FLOOR)
         size = self.spectra[0].shape[0], 2 * (self.spectra[0].shape[1] - 1)
         weight = drawn.variance / (drawn.variance + FLAT**2)
@@ -154,14 +156,19 @@ class _Shown:
             for spectrum, template in zip(self.spectra, (weight * drawn.values, weight), strict=True)
         )
         score = both / np.sqrt(np.maximum((weight * drawn.values**2).sum() * power, 1e-6))
-        reach = min(np.hypot(*(at[1] - at[0])) / self.seen.factor, min(shape) - 1)
-        rows, columns = (np.fft.fftfreq(n, 1 / n) for n in size)
-        score[np.hypot(rows[:, None], columns) > max(reach, 1.0)] = -1.0
+        reach = min(reach_mm / self.seen.mm_per_px(centre_mm), min(shape) - 1)
+        rows, columns = (np.fft.fftfreq(n, 1 / n).astype(int) for n in size)
+        score[np.hypot(rows[:, None], columns) > max(reach, 1.0)] = _NOWHERE
+        column, row = self.seen.pooled_px(at)[0]
+        score[~_taken(self.inner, row + rows, column + columns)] = _NOWHERE
         row, column = np.unravel_index(np.argmax(score), score.shape)
+        if score[row, column] == _NOWHERE:
+            return None
         return float(score[row, column]), at[0] + self.seen.factor * np.array([columns[column], rows[row]])
 
-    @cached_property
-    def _right(self) -> np.ndarray:
-        """(3,) unit vector across the rays."""
-        axis = self.seen.rays.along.mean(axis=0)
-        return np.linalg.svd(axis[None])[2][1]
+
+def _taken(mask: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return mask[rows][:, columns], False beyond the mask."""
+    inside = [(at >= 0) & (at < n) for at, n in zip((rows, columns), mask.shape, strict=True)]
+    taken = mask[np.ix_(*(np.clip(at, 0, n - 1) for at, n in zip((rows, columns), mask.shape, strict=True)))]
+    return taken & inside[0][:, None] & inside[1]

@@ -13,6 +13,13 @@ def box(values: np.ndarray) -> np.ndarray:
     return cv2.boxFilter(values, -1, (WINDOW, WINDOW), normalize=False, borderType=cv2.BORDER_CONSTANT)
 
 
+def block_sums(values: np.ndarray, side: int) -> np.ndarray:
+    """Return the sums (N, K) of (H, W, K) over blocks of `side` x `side` pixels."""
+    for axis in (0, 1):
+        values = np.add.reduceat(values, np.arange(0, values.shape[axis], side), axis=axis)
+    return values.reshape(-1, values.shape[2])
+
+
 @dataclass(frozen=True, eq=False)
 class Normalised:
     """An image (H, W) less its local mean, over its local standard deviation and a floor."""

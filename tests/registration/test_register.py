@@ -1,0 +1,109 @@
+"""Registration of a bone of hollow balls, whose images are exact."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+from tests.registration import balls
+
+from sightline.common.checks import CheckCode, failed
+from sightline.errors import ErrorUnknownError, UnusableInputError
+from sightline.from_images.registration import Bone, BonePose, Start, register_bone
+from sightline.from_images.registration.align import moved
+
+CHI2_999 = 16.27  # of three numbers
+CODES = {CheckCode.BONE_FIT, CheckCode.BONE_SHAPE, CheckCode.BONE_MOVEMENT, CheckCode.BONE_ELSEWHERE}
+
+
+def start(seed: int) -> Start:
+    """Return a start that is off by up to 10 mm and 10° per axis."""
+    off = np.random.default_rng(seed).uniform(-1, 1, 6) * np.repeat([np.deg2rad(10.0), 10.0], 3)
+    return Start(moved(balls.POSE, off, balls.POSE.apply(np.zeros(3))))
+
+
+@cache
+def found(scene: balls.Scene | None = None, seed: int = 3, **scanned: float) -> BonePose:
+    scene = scene or balls.Scene()
+    return register_bone(balls.bone(**scanned), scene.images(), scene.views, start(seed))
+
+
+def errors_mm(pose: BonePose) -> np.ndarray:
+    return np.linalg.norm(pose.at(balls.CENTRES_MM) - balls.POSE.apply(balls.CENTRES_MM), axis=1)
+
+
+def codes(pose: BonePose) -> set[CheckCode]:
+    return {check.code for check in failed(pose.checks)}
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_bone_is_found_and_its_error_is_the_stated_one(seed: int) -> None:
+    pose = found(seed=seed)
+    assert pose.trusted, pose
+    assert errors_mm(pose).max() < 0.15
+    off = (pose.at(balls.HEAD_MM) - balls.POSE.apply(balls.HEAD_MM))[0]
+    assert off @ np.linalg.solve(pose.covariance_at(balls.HEAD_MM), off) < CHI2_999
+    assert 0.01 < pose.error_95_mm < 0.3
+
+
+@pytest.mark.slow
+def test_no_start_is_needed() -> None:
+    scene = balls.Scene()
+    pose = register_bone(balls.bone(voxel_mm=2.0), scene.images(), scene.views)
+    assert pose.trusted, pose
+    assert errors_mm(pose).max() < 0.3
+
+
+def test_three_views_are_as_good_as_two() -> None:
+    scene = balls.Scene((*balls.Scene().views, balls.view("oblique", 45.0)), (balls.POSE,) * 3)
+    pose = register_bone(balls.bone(), scene.images(), scene.views, start(3))
+    assert pose.trusted, pose
+    assert errors_mm(pose).max() < 0.15
+
+
+@pytest.mark.parametrize("along", ["second beam", "across"])
+def test_movement_between_the_images_is_noticed(along: str) -> None:
+    """Along the second beam no picks show it."""
+    views = balls.Scene().views
+    beams = [view.focal_point_mm / np.linalg.norm(view.focal_point_mm) for view in views]
+    way = {"second beam": 8.0 * beams[1], "across": 1.5 * np.cross(*beams)}[along]
+    pose = found(balls.Scene().moved(RigidTransform.from_translation(way)))
+    assert CheckCode.BONE_MOVEMENT in codes(pose), pose
+
+
+def test_the_other_side_is_refused() -> None:
+    assert codes(found(mirrored=True)) & CODES
+
+
+def test_a_scan_of_another_size_is_refused_or_inside_the_stated_error() -> None:
+    pose = found(size=1.03)
+    assert CheckCode.BONE_MOVEMENT in codes(pose), pose
+
+
+def test_an_image_of_something_else_is_refused() -> None:
+    scene = balls.Scene()
+    other = balls.Scene(poses=(RigidTransform.from_translation([0, 500.0, 0]),) * 2)
+    pose = register_bone(balls.bone(), other.images(), scene.views, start(3))
+    assert CheckCode.BONE_FIT in codes(pose), pose
+
+
+def test_without_a_covariance_of_the_views_the_error_is_unknown() -> None:
+    views = balls.view("pa", 3.0, known=False), balls.Scene().views[1]
+    pose = register_bone(balls.bone(), balls.Scene().images(), views, start(3))
+    assert codes(pose) == {CheckCode.ERROR_KNOWN}
+    with pytest.raises(ErrorUnknownError, match="covariance"):
+        pose.covariance_at(balls.HEAD_MM)
+
+
+def test_what_cannot_be_registered_is_refused_with_its_cause() -> None:
+    scene, bone = balls.Scene(), balls.bone()
+    images = scene.images()
+    with pytest.raises(UnusableInputError, match="two images or more"):
+        register_bone(bone, images[:1], scene.views[:1])
+    far = Start(RigidTransform.from_translation([0.0, 0.0, -5000.0]))
+    with pytest.raises(UnusableInputError, match="place of the start"):
+        register_bone(bone, images, scene.views, far)
+    soft = balls.scan()
+    soft.hu[:] = 30
+    with pytest.raises(UnusableInputError, match="no bone"):
+        Bone.of_ct(soft)
