@@ -1,0 +1,157 @@
+"""Poses of bones from a CT and two images that gVirtualXray drew, from starts that are off, and without one."""
+
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+from benchmarks import gvxr
+from benchmarks.bone_trials import REACH, Record, fault_trial, right_trial, start_off
+from benchmarks.harness import Rows, finished, time_ms, trials
+from benchmarks.scenes.bones import FIRST_SEED, draw_bone_scene
+from sightline.from_images.registration import Bone, register_bone
+
+TRIALS, FAULT_TRIALS, QUICK = 300, 120, 6
+# Mean error over the targets of a pose that counts as found, and of one that counts as wrong [ours].
+FOUND_MM, WRONG_MM = 1.0, 2.0
+COVERAGE, MIN_COVERED = {0.95: 0.03}, 50
+INSIDE, CALLS = chi2.isf(1e-3, 3), 3
+# Of each way of registering: what is told, and the least share found, %.
+MIN_FOUND = {
+    "own": ("start within 10 mm, 10°", 98.0),
+    "wide": ("start within 20 mm, 20°", 80.0),
+    "none": ("no start", 90.0),
+    "none exact": ("no start, exact views", 90.0),
+}
+MAX_MEDIAN_MM = {
+    "exact": ("exact views", 0.10),
+    "own": ("views from their beads", 0.25),
+    "2 mm": ("CT of 2 mm, exact views", 0.4),
+    "head": ("femur's head alone in the field, exact views", 0.5),
+}
+MAX_95_MM, MAX_95_DEG, MAX_REFUSED, MIN_FAULTS, MAX_WARM_S, MAX_FIRST_S = 0.20, 0.5, 3.0, 99.0, 5.0, 20.0
+_FIRST_CALL = """
+import pickle, sys
+from pathlib import Path
+from sightline.from_images.registration import register_bone
+register_bone(*pickle.loads(Path(sys.argv[1]).read_bytes()))
+"""
+
+
+def run(quick: bool) -> Rows:
+    """Return the rows of this benchmark; `quick` does few trials."""
+    rows = Rows("bone")
+    if not gvxr.INSTALLED:
+        rows.add("registration of a bone", "not installed", peer="pip install gvxr")
+        return rows
+    scenes, out = finished(trials(right_trial, range(QUICK if quick else TRIALS)))
+    rows.add("scenes whose beads give no views", out)
+    for add in (right_rows, refusal_rows, coverage_rows):
+        add(rows, scenes)
+    fault_rows(rows, FAULT_TRIALS // 20 if quick else FAULT_TRIALS)
+    time_rows(rows)
+    return rows
+
+
+def of_way(scenes: Sequence[dict[str, Record]], way: str, *, trusted: bool = False) -> list[Record]:
+    """Return the records of one way of registering, all or the trusted ones."""
+    records = [scene[way] for scene in scenes if way in scene]
+    return [each for each in records if each["trusted"]] if trusted else records
+
+
+def right_rows(rows: Rows, scenes: Sequence[dict[str, Record]]) -> None:
+    """Add how many poses are found, the median error of all, and the larger errors of those that are trusted."""
+    for way, (told, least) in MIN_FOUND.items():
+        share = [each["error_mm"] < FOUND_MM for each in of_way(scenes, way)]
+        name = f"{told} ({len(share)}): mean error of targets below {FOUND_MM:g} mm"
+        rows.number(name, 100 * np.mean(share), ".1f", "%", least=least)
+    for way, (told, most) in MAX_MEDIAN_MM.items():
+        found, trusted = of_way(scenes, way), of_way(scenes, way, trusted=True)
+        median, name = np.median([each["error_mm"] for each in found] or [np.nan]), f"{told} ({len(found)})"
+        rows.number(f"{name}: mean error of targets, median", median, ".3f", "mm", most=most)
+        name = f"{name}, of {len(trusted)} trusted, 95 %"
+        for key, unit, limit in (
+            ("error_mm", "mm", MAX_95_MM if way == "exact" else np.inf),
+            ("turn_deg", "°", MAX_95_DEG),
+        ):
+            value = np.quantile([each[key] for each in trusted] or [np.nan], 0.95)
+            rows.number(f"{name}: {key.split('_')[0]}", value, ".3f", unit, most=limit)
+    said = ["said" in each for each in of_way(scenes, "one view")]
+    rows.add("one view alone: refused", f"{sum(said)} of {len(said)}", "all", all(said))
+
+
+def refusal_rows(rows: Rows, scenes: Sequence[dict[str, Record]]) -> None:
+    """Add the wrong poses that were accepted, and the right ones that were refused."""
+    for way, told in {way: texts[0] for way, texts in (MIN_FOUND | MAX_MEDIAN_MM).items()}.items():
+        wrong = [each["trusted"] for each in of_way(scenes, way) if each["error_mm"] > WRONG_MM]
+        rows.none(f"{told}: wrong by more than {WRONG_MM:g} mm and trusted", sum(wrong), f"{len(wrong)} wrong")
+        right = [not each["trusted"] for each in of_way(scenes, way) if each["error_mm"] < FOUND_MM]
+        most = MAX_REFUSED if way in ("own", "exact") else np.inf
+        rows.number(f"{told} ({len(right)} right): refused", 100 * np.mean(right or [0]), ".1f", "%", most=most)
+
+
+def coverage_rows(rows: Rows, scenes: Sequence[dict[str, Record]]) -> None:
+    """Add how often the stated errors of trusted poses hold, over all scenes and by stratum."""
+    covered(rows, "exact views", of_way(scenes, "exact", trusted=True))
+    covered(rows, "views from their beads", of_way(scenes, "own", trusted=True))
+    for stratum in ("anatomy", "chain", "overlap", "metal"):
+        for value in sorted({scene["strata"][stratum] for scene in scenes}):
+            own = [scene for scene in scenes if scene["strata"][stratum] == value]
+            covered(rows, f"views from their beads, {stratum} {value}", of_way(own, "own", trusted=True))
+
+
+def covered(rows: Rows, told: str, records: Sequence[Record]) -> None:
+    rows.covers(f"{told}: pose", [each["pose2"] for each in records], COVERAGE, MIN_COVERED, dof=6)
+    rows.covers(f"{told}: joint", [each["targets2"][0] for each in records], COVERAGE, MIN_COVERED, dof=3)
+
+
+def fault_rows(rows: Rows, count: int) -> None:
+    """Add how many faults are refused, or leave all targets inside their stated error."""
+    records, _ = finished(trials(fault_trial, range(count)))
+    good = [not each["trusted"] or bool((each["targets2"] < INSIDE).all()) for each in records]
+    for fault in dict.fromkeys(each["fault"] for each in records):
+        own = [(ok, each["trusted"]) for ok, each in zip(good, records, strict=True) if each["fault"] == fault]
+        text = f"{sum(ok for ok, _ in own)} of {len(own)}; refused {sum(not trusted for _, trusted in own)}"
+        rows.add(f"{fault}: refused or inside the stated error", text)
+    rows.number(
+        f"all faults ({len(good)}): refused or inside the stated error",
+        100 * np.mean(good),
+        ".1f",
+        "%",
+        least=MIN_FAULTS,
+    )
+
+
+def time_rows(rows: Rows) -> None:
+    """Add the times of one scene: of a call when all is compiled, and of a program that compiles all."""
+    scene = draw_bone_scene(FIRST_SEED, anatomy_name="femur", chain="panel")
+    bone = Bone.of_ct(scene.ct)
+    start = start_off(scene, bone, np.random.default_rng(FIRST_SEED), REACH["near"])
+    given = bone, list(scene.images.values()), scene.views(), start
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "given.pickle"
+        file.write_bytes(pickle.dumps(given))
+        before = time.perf_counter(), children_s()
+        command, own = [sys.executable, "-c", _FIRST_CALL, str(file)], os.environ | {"NUMBA_CACHE_DIR": folder}
+        subprocess.run(command, env=own, check=True)
+        first = time.perf_counter() - before[0], children_s() - before[1]
+    call = partial(register_bone, *given)
+    warm = (np.median(time_ms(call, CALLS, clock)) / 1e3 for clock in (time.perf_counter, time.process_time))
+    told = {"a call, all compiled": (warm, MAX_WARM_S), "a program that compiles all": (first, MAX_FIRST_S)}
+    for name, ((wall, of_cores), most) in told.items():
+        rows.number(name, wall, ".1f", "s", most=most)
+        rows.number(f"{name}: time of all cores", of_cores, ".1f", "s")
+
+
+def children_s() -> float:
+    """Return the processor time of all programs that this one has run."""
+    spent = os.times()
+    return spent.children_user + spent.children_system
