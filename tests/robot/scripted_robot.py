@@ -273,7 +273,7 @@ class ScriptedRobot:
         """1, or the code by which it refuses."""
         if text in ("STOP", "EMERGENCY"):
             return 5 if "stops for its own client only" in self.flaws and peer is not (self.lease or peer) else 1
-        if text not in (*PHASES, "DRILL", "RETRACT"):
+        if text not in (*PHASES, "DRILL", "GUIDE", "RETRACT"):
             return 12
         if self.ours and peer is not (self.lease or peer) and "no lease" not in self.flaws:
             return 5
@@ -293,6 +293,8 @@ class ScriptedRobot:
         if text == "DRILL" and self.ours:
             ready = self.aligned or "drills unaligned" in self.flaws
             return 1 if ready and (peer.promised or "drills without heartbeats" in self.flaws) else 13
+        if text == "GUIDE" and self.ours:
+            return 1 if self.aligned or "guides unaligned" in self.flaws else 13
         return 1
 
     def obey(self, peer: Peer, text: str) -> None:
@@ -306,6 +308,9 @@ class ScriptedRobot:
                 self.phase = "MOVE_TO_TARGET"
                 self.moving = asyncio.get_running_loop().create_task(self.move(peer, text), name=text)
                 self.mover = peer
+            return
+        if text == "GUIDE":
+            self.phase = "MOVE_TO_TARGET"
             return
         self.halt(13)
         self.aligned = False

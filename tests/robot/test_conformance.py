@@ -58,7 +58,8 @@ OURS_ALONE = {
     "forgets a lost client", "streams", "EMERGENCY waits for a reset", "a reset names its fault",
     "dry run: STOP while moving, on a second connection", "dry run: silence stops motion",
     "dry run: a lost client's motion stops", "dry run: MOVE_TO_TARGET by an expired plan: 10",
-    "dry run: DRILL without alignment: 13", "dry run: DRILL without heartbeats: 13", "dry run: states its depth",
+    "dry run: DRILL without alignment: 13", "dry run: GUIDE without alignment: 13",
+    "dry run: DRILL without heartbeats: 13", "dry run: states its depth",
 }  # fmt: skip
 
 
@@ -135,6 +136,7 @@ FAULTS_IN_MOTION = {
     "moves by an expired plan": {"dry run: MOVE_TO_TARGET by an expired plan: 10"},
     "keeps a refused target": {"dry run: MOVE_TO_TARGET after a refused target: 13"},
     "drills unaligned": {"dry run: DRILL without alignment: 13"},
+    "guides unaligned": {"dry run: GUIDE without alignment: 13"},
     "drills without heartbeats": {"dry run: DRILL without heartbeats: 13"},
     "drifts while it holds": {"dry run: holds still when aligned"},
     "NaN as depth": {"dry run: states its depth"},
@@ -145,7 +147,7 @@ FAULTS_IN_MOTION = {
 IN_MOTION_TOGETHER = [
     (25, "lays it aside", "moves in MANUAL", "moves by an expired plan", "keeps a refused target", "drills unaligned",
      "drifts while it holds", "NaN as depth"),
-    (25, "aligns in the bone", "drills without heartbeats"),
+    (25, "aligns in the bone", "drills without heartbeats", "guides unaligned"),
     (150, "deaf to others while moving", "moves on a repeat", "goes on without its client"),
     (300, "ignores STOP while moving", "never notices silence"),
 ]  # fmt: skip

@@ -272,10 +272,15 @@ def _moves_nothing_refused(talk: Conversation) -> str:
     return talk.refused("MOVE_TO_TARGET", Code.NOT_READY)
 
 
-def _drills_nothing_unaligned(talk: Conversation) -> str:
-    talk.require(contract.HAS_DRILLING)
-    verified_target(talk)
-    return talk.refused("DRILL", Code.NOT_READY)
+def _begins_nothing_unaligned(name: str) -> Question:
+    """Return the question whether a robot that has a target, but is not aligned with it, refuses an activity."""
+
+    def question(talk: Conversation) -> str:
+        talk.require(contract.HAS_DRILLING)
+        verified_target(talk)
+        return talk.refused(name, Code.NOT_READY)
+
+    return question
 
 
 def _drills_nothing_unwatched(talk: Conversation) -> str:
@@ -349,7 +354,8 @@ MOTIONS: dict[str, Question] = {
     "dry run: MOVE_TO_TARGET in MANUAL: 14 or 13": _moves_nothing_in_manual,
     "dry run: MOVE_TO_TARGET by an expired plan: 10": _moves_nothing_expired,
     "dry run: MOVE_TO_TARGET after a refused target: 13": _moves_nothing_refused,
-    "dry run: DRILL without alignment: 13": _drills_nothing_unaligned,
+    "dry run: DRILL without alignment: 13": _begins_nothing_unaligned("DRILL"),
+    "dry run: GUIDE without alignment: 13": _begins_nothing_unaligned("GUIDE"),
     "dry run: DRILL without heartbeats: 13": _drills_nothing_unwatched,
     "dry run: holds still when aligned": _holds_still,
     "dry run: states its depth": _states_its_depth,
