@@ -195,3 +195,13 @@ def test_one_manufactured_frame_is_kept_over_many_images(run, tmp_path: Path) ->
     assert first["frame"] == Frame.load("gamma").key
     off = [np.subtract(first["beads_mm"][b.id], b.xyz_mm) for v in GAMMA.views.values() for b in v.fiducials]
     assert 0.01 < np.sqrt(np.mean(np.square(off))) < 0.3  # made to the tolerances
+
+
+@pytest.mark.parametrize(("file", "why"), [("bone.nii", "is not an .nrrd"), ("bone.nrrd", "no bone as one volume")])
+def test_no_ct_is_written_of_another_kind_or_of_an_object_without_bone(
+    run, tmp_path: Path, file: str, why: str
+) -> None:
+    ran = run("simulate", "object", "--write-bone", tmp_path / file, "--out", tmp_path / "images")
+    assert ran.code == 2
+    assert why in ran.said
+    assert not list(tmp_path.iterdir())
