@@ -30,6 +30,7 @@ WALKED = (
     "your-first-frame.md",
     "interop.md",
     "answers.md",
+    "register-bone.md",
 )
 LONG = {
     "robot-link.md",
