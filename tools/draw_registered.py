@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import sightline as sl
+from sightline.calibration.exchange.pose_file import read_pose
 from sightline.from_images.registration import Start
-from sightline.from_images.registration.pose_file import read_pose
 
 DPI = 120
 

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import sightline as sl
+from sightline.calibration.exchange.pose_file import read_pose
 from sightline.case import stages
 from sightline.case.interop.slicer import markup_bytes
 from sightline.case.journal import Actor, Case
@@ -17,7 +18,6 @@ from sightline.case.views import calibrate_pair, see_pair
 from sightline.cli.base import Output
 from sightline.cli.bone.register_bone import ShotFiles
 from sightline.from_images.registration.clicks import read_clicks, start_of_clicks
-from sightline.from_images.registration.pose_file import read_pose
 from sightline.imaging import write_dicom
 from sightline.imaging.volumes import CtScan
 from sightline.imaging.volumes.ct import hu_of_bone, write_ct

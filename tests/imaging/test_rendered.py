@@ -10,10 +10,10 @@ import trimesh
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import sightline as sl
+from sightline.calibration.exchange.pose_file import read_pose
 from sightline.case.interop.formats import transform_bytes
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.frame import Frame
-from sightline.from_images.registration.pose_file import read_pose
 from sightline.imaging.volumes import CtScan, Mesh, filled
 from sightline.studies.scenes import measure
 from sightline.twin import draw_setup

@@ -75,6 +75,16 @@ class SceneOptions:
         ),
     ] = None
 
+    write_bone: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the hip's bone as a CT (.nrrd) in coordinates of its own, and beside it its true pose "
+            "(.pose.json), which takes them to CFCS.",
+            show_default=False,
+        ),
+    ] = None
+
     def drawn(self, rng: "np.random.Generator") -> "tuple[Specimen, Frame, Frame | None]":
         """Return the set-up, the frame as designed, and the one as made where that is kept over all images."""
         import numpy as np
@@ -118,15 +128,6 @@ def simulate(
             show_default=False,
         ),
     ] = None,
-    write_bone: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the hip's bone as a CT (.nrrd) in coordinates of its own, and beside it its true pose "
-            "(.pose.json), which takes them to CFCS.",
-            show_default=False,
-        ),
-    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the images and truth.json.")] = Path("out/simulate"),
 ) -> None:
     """Make simulated X-ray images and their truth.
@@ -144,7 +145,7 @@ def simulate(
     rng = np.random.default_rng(scene.seed)
     with output.step("drawing the set-up"):
         drawn, frame, made = scene.drawn(rng)
-    bone = [] if write_bone is None else _bone(write_bone, drawn, np.random.default_rng([scene.seed, _SCANNER]))
+    bone = [] if scene.write_bone is None else _bone(scene.write_bone, drawn, scene.seed)
     images = {}
     for view in drawn.setup.views:
         with output.step(f"exposing {view}"):
@@ -167,8 +168,10 @@ def simulate(
     output.result({**truth, "frame": frame.key, "side": scene.side, "files": written})
 
 
-def _bone(file: Path, drawn: "Specimen", rng: "np.random.Generator") -> list[Path]:
+def _bone(file: Path, drawn: "Specimen", seed: int) -> list[Path]:
     """Write the CT of the bone and its true pose; return both files. Raises UnusableInputError."""
+    import numpy as np
+
     from sightline.common.atomic import write_whole
     from sightline.errors import UnusableInputError
     from sightline.imaging.volumes.ct import write_ct
@@ -176,7 +179,7 @@ def _bone(file: Path, drawn: "Specimen", rng: "np.random.Generator") -> list[Pat
 
     if file.suffix.lower() != ".nrrd":
         raise UnusableInputError(f"{file.name} is not an .nrrd; name the CT to write so")
-    scan, pose = bone_ct(drawn.scene, drawn.setup.side, rng)
+    scan, pose = bone_ct(drawn.scene, drawn.setup.side, np.random.default_rng([seed, _SCANNER]))
     document = as_json({"coordinates": "CFCS", "matrix": pose.as_matrix()})
     return [write_ct(scan, file), write_whole(file.with_suffix(".pose.json"), document.encode())]
 

@@ -121,10 +121,10 @@ class Beginning:
     def read(self, shown: SeenBone) -> "Start | None":
         """Return the start. Raises UnusableInputError, and what reading and triangulating raise."""
         from sightline.calibration.exchange.markups import read_points
+        from sightline.calibration.exchange.pose_file import read_pose
         from sightline.errors import UnusableInputError
         from sightline.from_images.registration import Start
         from sightline.from_images.registration.clicks import read_clicks, start_of_clicks
-        from sightline.from_images.registration.pose_file import read_pose
 
         if (self.points is None) != (self.clicks is None):
             raise UnusableInputError("--points and --clicks belong together; give both")

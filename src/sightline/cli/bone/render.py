@@ -76,8 +76,8 @@ def render(
     Pixels are 65535 exp(-integral of the attenuation at 60 keV). A CT's coordinates are DICOM's: to the patient's left,
     back and head.
     """
+    from sightline.calibration.exchange.pose_file import read_pose
     from sightline.errors import UnusableInputError
-    from sightline.from_images.registration import pose_file
     from sightline.from_images.registration.render import render as rendered
     from sightline.imaging import write_dicom, write_png
 
@@ -86,7 +86,7 @@ def render(
         raise UnusableInputError(f"{out.name} is neither .dcm nor .png; name the image to write so")
     given = None if size is None else _shape(size)
     seen, stated = read_seen(view)
-    placed = None if pose is None else pose_file.read_pose(pose)
+    placed = None if pose is None else read_pose(pose)
     with output.step("reading"):
         volume = subject.read()
     with output.step("casting rays"):
