@@ -1,21 +1,26 @@
-"""Adapters of arms with controllers of their own: what they refuse, and the Franka adapter in front of a fake.
+"""Adapters of arms with controllers of their own: what they refuse, and the Franka adapter in front of two arms.
 
-`Franka` answers as franky 2.0.0 did in front of franky-sim 1.0.4, where each answer was tried: after a motion that was
-aborted the next poll raises, after a lost connection `state` raises, and the arm moves until its last command ends.
+One is an exchange that was recorded in front of franky-sim. The other, `Franka`, has the faults that the simulator has
+not, and answers as franky 2.0.0 does: after a motion that was aborted the next poll raises, after a lost connection
+`state` raises.
 """
 
 import importlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from tests.robot import franka_exchange
+from tests.robot.franka_exchange import Exchange, Replay
 from tests.robot.rig import wait_for
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.arms.adapter import JointTrajectory, checked
+from sightline.robot.arms.adapter import REST_S, JointTrajectory, checked
 from sightline.robot.plant import PlantFlag
 
 JOINTS = tuple(f"joint{i}" for i in range(1, 8))
@@ -66,7 +71,7 @@ class Franka:
     def __init__(self, host: str, realtime_config: object) -> None:
         if host != "arm":
             raise ConnectionError("libfranka: Connection timeout")
-        self.ms, self.q, self.paces = 0, HOME.copy(), []
+        self.ms, self.paces = 0, []
         self.mode, self.moves, self.raises, self.lost = MODES.Idle, [], [], False
 
     @property
@@ -79,15 +84,15 @@ class Franka:
             raise RuntimeError("Net Exception")
         self.ms += 10
         if self.paces:
-            self.q = self.q + 0.01 * self.paces.pop(0)
+            self.paces.pop()
         time = SimpleNamespace(to_sec=lambda ms=self.ms: ms / 1000)
-        return SimpleNamespace(time=time, q=self.q, robot_mode=self.mode, current_errors="[joint_reflex]")
+        return SimpleNamespace(time=time, q=HOME, robot_mode=self.mode, current_errors="[joint_reflex]")
 
     def move(self, motion: list[Any] | str, asynchronous: bool) -> None:
         assert asynchronous
         assert not self.raises
         self.moves.append(motion)
-        self.paces = [] if motion == "stop" else [w.target for w in motion for _ in range(w.ms // 10)]
+        self.paces = [] if motion == "stop" else [w for w in motion for _ in range(w.ms // 10)]
 
     def join_motion(self) -> None:
         while self.paces:
@@ -107,8 +112,19 @@ def waypoint(target: np.ndarray, minimum_time: int = 0, hold_target_duration: in
     return SimpleNamespace(target=target, ms=minimum_time + hold_target_duration)
 
 
+@contextmanager
+def adapter(franky: Any) -> Iterator[Any]:
+    """Give the adapter's module, imported with another franky."""
+    name = "sightline.robot.arms.franka"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "franky", franky)
+        patch.delitem(sys.modules, name, raising=False)
+        yield importlib.import_module(name)
+        sys.modules.pop(name)
+
+
 @pytest.fixture
-def module(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def module() -> Iterator[Any]:
     fake = SimpleNamespace(
         Robot=Franka,
         RobotMode=MODES,
@@ -118,11 +134,8 @@ def module(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         JointVelocityStopMotion=lambda: "stop",
         Duration=int,
     )
-    name = "sightline.robot.arms.franka"
-    monkeypatch.setitem(sys.modules, "franky", fake)
-    monkeypatch.delitem(sys.modules, name, raising=False)
-    yield importlib.import_module(name)
-    sys.modules.pop(name)
+    with adapter(fake) as module:
+        yield module
 
 
 @pytest.fixture
@@ -147,16 +160,72 @@ def refused(arm: Any) -> str:
     return texts[0]
 
 
-def test_a_franka_arm_is_brought_to_where_its_trajectories_lead(arm: Any) -> None:
-    """Whatever part of each it follows before the next one comes."""
-    assert arm.joints == JOINTS
+def replayed(spoil: Callable[[Exchange, Any], None] | None = None) -> dict[str, np.ndarray]:
+    """Return the times (N, 1) and joints (N, 7) that the adapter read in each part of the recorded drive. `spoil`
+    makes the adapter a bad one. Raises AssertionError for any call that was not recorded, or was left out."""
+    replay = Replay()
+    exchange = Exchange(replay)
+    with adapter(exchange.franky) as module:
+        if spoil is not None:
+            spoil(exchange, module)
+        arm = module.FrankaArm(replay.host)
+        assert arm.joints == JOINTS
+        try:
+            parts = franka_exchange.drive(exchange, arm, cut=lambda: None)
+        finally:
+            replay.end()  # the adapter takes what is wrong for a fault of the arm
+    return {name: np.array([[each.time_s, *each.encoders] for each in readings]) for name, readings in parts.items()}
 
-    def arrived() -> bool:
-        left = HOME + 0.05 - arm.state().encoders
-        arm.follow(going(0 * SLOW, arm.state().encoders + left.clip(-0.01, 0.01)))
-        return bool(np.abs(left).max() < 1e-3)
 
-    wait_for(arrived)
+def test_the_adapter_calls_franky_as_it_did_when_the_simulated_arm_moved() -> None:
+    read = replayed()
+    goal = franka_exchange.HOME + franka_exchange.BY
+    # The simulator's joints sag by some 1e-5 rad at rest; 2e-4 rad are 0.2 mm at 1 m.
+    np.testing.assert_allclose(read["read"][:, 1:], franka_exchange.HOME + np.zeros((len(read["read"]), 7)), atol=2e-4)
+    np.testing.assert_allclose(read["follow"][-1, 1:], goal, atol=2e-4)
+    np.testing.assert_allclose(read["hold"][:, 1:], goal + np.zeros((len(read["hold"]), 7)), atol=2e-4)
+    pace = np.diff(read["back"][-2:], axis=0)[0]
+    assert np.abs(pace[1:]).max() / pace[0] > 0.1, "the arm is stopped while it moves"
+    at_rest = read["stop"][:, 0] > read["stop"][0, 0] + REST_S
+    assert np.ptp(read["stop"][at_rest, 1:], axis=0).max() < 2e-4
+
+
+def spoilt_target(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Exchange, Any], None]:
+    """Make an adapter that commands other velocities."""
+
+    def spoil(exchange: Exchange, _: Any) -> None:
+        good = exchange.franky.JointVelocityWaypoint
+        exchange.franky.JointVelocityWaypoint = lambda target, **times: good(change(target), **times)
+
+    return spoil
+
+
+def spoilt_reading(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Exchange, Any], None]:
+    """Make an adapter that reads other joints."""
+
+    def spoil(_: Exchange, module: Any) -> None:
+        good = module.FrankaArm.state
+        module.FrankaArm.state = lambda arm: replace(good(arm), encoders=change(good(arm).encoders))
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        pytest.param(spoilt_target(np.flip), id="commands the joints in the wrong order"),
+        pytest.param(spoilt_target(np.rad2deg), id="commands degrees"),
+        pytest.param(spoilt_target(lambda target: target[:6]), id="commands six joints"),
+        pytest.param(spoilt_target(lambda target: target + 1e-6), id="commands 1e-6 rad/s more"),
+        pytest.param(spoilt_reading(np.flip), id="reads the joints in the wrong order"),
+        pytest.param(spoilt_reading(np.rad2deg), id="reads degrees"),
+        pytest.param(lambda _, module: setattr(module.FrankaArm, "hold", lambda arm: None), id="does not stop"),
+        pytest.param(lambda _, module: setattr(module, "SEND_S", 0.03), id="accelerates for too long"),
+    ],
+)
+def test_a_bad_franka_adapter_fails_the_recorded_exchange(spoil: Callable[[Exchange, Any], None]) -> None:
+    with pytest.raises(AssertionError, match=r"was called; recorded: "):
+        replayed(spoil)
 
 
 def test_a_franka_arm_that_is_commanded_no_longer_is_at_rest_within_a_tenth_of_a_second(arm: Any) -> None:
@@ -168,14 +237,6 @@ def test_a_franka_arm_that_is_commanded_no_longer_is_at_rest_within_a_tenth_of_a
     assert not rest.target.any()
     # What is left of 100 ms is enough at 10 rad/s², the limit of the arm, for any speed that it is given.
     assert SLOW.max() / 10.0 < 0.06
-
-
-def test_franka_hold_ends_a_motion_without_a_fault(arm: Any) -> None:
-    arm.follow(going(SLOW))
-    arm.hold()
-    arm.hold()  # at rest there is nothing to stop
-    assert arm._robot.moves[1:] == ["stop"]
-    assert arm.state().flags == PlantFlag.RUN_HELD
 
 
 def test_a_fault_of_a_franka_arm_is_told_until_a_person_goes_on(arm: Any) -> None:
