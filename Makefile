@@ -63,8 +63,12 @@ coverage: $(TOOLS) $(KERNELS)  ## the suite, and which lines of the source it ru
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PROCESSES) \
 	  --cov=sightline --cov-report=term:skip-covered
 
-bench: $(TOOLS)  ## the figures of docs/benchmarks.md, each beside its peer
-	$(PIP) --no-deps --upgrade --target out/opencv4 opencv-python-headless==4.11.0.86
+# The peer's OpenCV stands beside ours, since Python can import only one of them; it takes NumPy from .venv.
+out/opencv4: $(TOOLS) requirements-opencv4.lock
+	$(LOCKED) --upgrade --target $@ -r requirements-opencv4.lock
+	@touch $@
+
+bench: $(TOOLS) out/opencv4  ## the figures of docs/benchmarks.md, each beside its peer
 	$(BIN)/python -m benchmarks
 
 TRIES ?= 200
@@ -105,6 +109,7 @@ lock:  ## compile the locks again (needs uv)
 	$(COMPILE) --group dev --group bench -c requirements.lock -o requirements-dev.lock
 	$(COMPILE) --group docs -c requirements.lock -c requirements-dev.lock -o requirements-docs.lock
 	$(COMPILE) --group ros2 -c requirements.lock -c requirements-dev.lock -o requirements-ros2.lock
+	$(COMPILE) --group opencv4 --no-deps -o requirements-opencv4.lock
 
 clean:
 	rm -rf out dist build .pytest_cache .ruff_cache .coverage
