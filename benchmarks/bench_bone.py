@@ -75,15 +75,18 @@ def right_rows(rows: Rows, scenes: Sequence[dict[str, Record]]) -> None:
         rows.number(name, 100 * np.mean(share), ".1f", "%", least=least)
     for way, (told, most) in MAX_MEDIAN_MM.items():
         found, trusted = of_way(scenes, way), of_way(scenes, way, trusted=True)
-        median, name = np.median([each["error_mm"] for each in found] or [np.nan]), f"{told} ({len(found)})"
+        if not found:
+            rows.add(told, "no scene")
+            continue
+        median, name = np.median([each["error_mm"] for each in found]), f"{told} ({len(found)})"
         rows.number(f"{name}: mean error of targets, median", median, ".3f", "mm", most=most)
-        name = f"{name}, of {len(trusted)} trusted, 95 %"
-        for key, unit, limit in (
-            ("error_mm", "mm", MAX_95_MM if way == "exact" else np.inf),
-            ("turn_deg", "°", MAX_95_DEG),
-        ):
-            value = np.quantile([each[key] for each in trusted] or [np.nan], 0.95)
-            rows.number(f"{name}: {key.split('_')[0]}", value, ".3f", unit, most=limit)
+        limits = {
+            "error_mm": ("mean error of targets", "mm", MAX_95_MM if way == "exact" else np.inf),
+            "turn_deg": ("rotation", "°", MAX_95_DEG if way in ("exact", "own") else np.inf),
+        }
+        for key, (what, unit, limit) in limits.items() if trusted else ():
+            value = np.quantile([each[key] for each in trusted], 0.95)
+            rows.number(f"{name}: {what}, 95 % of {len(trusted)} trusted", value, ".3f", unit, most=limit)
     said = ["said" in each for each in of_way(scenes, "one view")]
     rows.add("one view alone: refused", f"{sum(said)} of {len(said)}", "all", all(said))
 
@@ -95,7 +98,8 @@ def refusal_rows(rows: Rows, scenes: Sequence[dict[str, Record]]) -> None:
         rows.none(f"{told}: wrong by more than {WRONG_MM:g} mm and trusted", sum(wrong), f"{len(wrong)} wrong")
         right = [not each["trusted"] for each in of_way(scenes, way) if each["error_mm"] < FOUND_MM]
         most = MAX_REFUSED if way in ("own", "exact") else np.inf
-        rows.number(f"{told} ({len(right)} right): refused", 100 * np.mean(right or [0]), ".1f", "%", most=most)
+        if right:
+            rows.number(f"{told} ({len(right)} right): refused", 100 * np.mean(right), ".1f", "%", most=most)
 
 
 def coverage_rows(rows: Rows, scenes: Sequence[dict[str, Record]]) -> None:
