@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import sightline as sl
+from sightline.calibration.exchange.markups import read_points
 from sightline.calibration.exchange.pose_file import read_pose
 from sightline.case import stages
 from sightline.case.interop.slicer import markup_bytes
@@ -17,10 +18,16 @@ from sightline.case.journal import Actor, Case
 from sightline.case.views import calibrate_pair, see_pair
 from sightline.cli.base import Output
 from sightline.cli.bone.register_bone import ShotFiles
+from sightline.cli.robot.commands import read_plan
+from sightline.common.checks import failed
+from sightline.errors import UnusableInputError
+from sightline.from_images.ct_wire import ct_wire
+from sightline.from_images.registration import Start
 from sightline.from_images.registration.clicks import read_clicks, start_of_clicks
 from sightline.imaging import write_dicom
 from sightline.imaging.volumes import CtScan
 from sightline.imaging.volumes.ct import hu_of_bone, write_ct
+from sightline.planning import kind
 
 # Off the grid, without symmetry; the first is the largest.
 CENTRES_MM = np.array([[3.2, -1.1, 41.3], [-14.9, 6.2, 22.7], [2.3, 3.9, 1.4], [-3.8, -9.6, -22.2], [7.1, 4.4, -38.9]])
@@ -30,6 +37,9 @@ NEAR = RigidTransform.from_components([3.1, 2.2, -4.0], Rotation.from_rotvec([0.
 SHAPE = (320, 320)
 NAMES = ("head", "shaft", "knee")
 AT_MM = np.array([CENTRES_MM[0], CENTRES_MM[4], [-31.0, 12.0, 3.0]])  # the third to one side
+CLICKS = "name,view,u,v\n"
+POINTS = "name,coordinates,x_mm,y_mm,z_mm\n"
+LINE_MM = np.array([[24.0, 18.0, -30.0], [-1.0, -6.0, 40.0]])
 CT_AXES = Rotation.from_euler("xyz", [4.0, -3.0, 6.0], degrees=True).as_matrix()
 
 
@@ -129,9 +139,61 @@ def test_two_clicked_points_start_a_registration_and_a_view_without_its_error_is
     assert off_mm(read_pose(tmp_path / "unknown" / "bone-pose.json")) < OFF_MM
 
 
-def test_clicks_give_the_pose_or_leave_the_rotation_about_their_axis_open(files: Files) -> None:
-    from sightline.calibration.exchange.markups import read_points
+@pytest.fixture(scope="module")
+def found(files: Files) -> sl.BonePose:
+    images = [sl.read_image(files.folder / f"{seen.name}.dcm") for seen in files.views]
+    return sl.register_bone(files.folder / "ct.nrrd", images, files.views, Start(NEAR))
 
+
+def test_a_wire_of_the_ct_has_the_registrations_error_and_its_verdict(found: sl.BonePose) -> None:
+    wire = ct_wire(found, LINE_MM, kind("hip-screw"), "right")
+    assert wire.verdict.go
+    assert wire.trajectory.points.xyz_mm == pytest.approx(POSE.apply(LINE_MM), abs=OFF_MM)
+    assert wire.trajectory.covariance_mm2 == pytest.approx(found.covariance_at(LINE_MM))
+    assert set(wire.trajectory.budget_rms()) == {"bone"}
+    assert "tip in head" in wire.unchecked
+    loose = ct_wire(replace(found, covariance=400 * found.covariance), LINE_MM, kind("hip-screw"))
+    assert {check.name for check in failed(loose.verdict.checks)} == {"entry error", "end error", "direction error"}
+    moved = replace(found.checks[-1], name="bone movement", passed=False)
+    assert not ct_wire(replace(found, checks=(moved,)), LINE_MM, kind("hip-screw")).verdict.go
+    unknown = ct_wire(replace(found, covariance=None), LINE_MM, kind("hip-screw"))
+    assert {check.name for check in failed(unknown.verdict.checks)} == {"error known"}
+    with pytest.raises(UnusableInputError, match="several wires"):
+        ct_wire(found, LINE_MM, kind("cannulated-hip-screws:inferior"))
+
+
+def test_a_wire_of_the_ct_leaves_as_a_plan_for_a_robot(run: Callable, files: Files, tmp_path: Path) -> None:
+    line, out = tmp_path / "line.mrk.json", tmp_path / "plan"
+    line.write_bytes(markup_bytes("Line", "wire", LINE_MM, ("entry", "tip"), colour=(1, 0, 0), description=""))
+    given = ("--start", files.folder / "start.json", "--line", line, "--side", "right", "--out", out)
+    ran = run(*files.arguments(*given))
+    assert ran.code == 0, ran.err
+    assert "Not checked" in ran.out
+    plan = read_plan(out / "plan.json")
+    assert plan.points_mm == pytest.approx(POSE.apply(LINE_MM), abs=OFF_MM)
+    assert plan.side == "right"
+    assert plan.limits.position_mm == kind("hip-screw").limits.position_mm
+
+
+@pytest.mark.parametrize(
+    ("names", "more", "why"),
+    [
+        (("tip", "entry"), (), "give two points, the entry first"),
+        (("entry", "middle", "tip"), (), "give two points, the entry first"),
+        (None, ("--side", "right"), "give it with --line"),
+    ],
+)
+def test_lines_that_are_no_wire_are_refused(
+    run: Callable, files: Files, tmp_path: Path, names: tuple[str, ...] | None, more: tuple[str, ...], why: str
+) -> None:
+    line = tmp_path / "line.csv"
+    line.write_text(POINTS + "\n".join(f"{name},LPS,{k},{40 * k},0" for k, name in enumerate(names or ())))
+    ran = run(*files.arguments(*more, *(("--line", line) if names else ())))
+    assert ran.code == 2
+    assert why in ran.said
+
+
+def test_clicks_give_the_pose_or_leave_the_rotation_about_their_axis_open(files: Files) -> None:
     points, clicks = read_points(files.folder / "points.csv"), read_clicks(files.folder / "clicks.csv")
     start = start_of_clicks(points, clicks, files.views)
     assert off_mm(start.pose) < 1e-6
@@ -154,10 +216,6 @@ def test_a_case_gives_its_newest_images_and_views(pair: dict[str, Path], frame: 
     for image, seen, made in zip(shown.images, shown.views, images, strict=True):
         assert image.shape == seen.image_shape
         assert seen.focal_point_mm == pytest.approx(made.view.focal_point_mm, abs=1e-9)
-
-
-CLICKS = "name,view,u,v\n"
-POINTS = "name,coordinates,x_mm,y_mm,z_mm\n"
 
 
 @pytest.mark.parametrize(

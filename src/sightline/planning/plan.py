@@ -224,22 +224,8 @@ class Plan(Plotted):
 
     def verdict_document(self) -> dict[str, Any]:
         """Return the verdict and its limits as JSON types, without the checks."""
-        limits = self.kind.limits
-        return {
-            "go": self.verdict.go,
-            "verdict": self.verdict.state,
-            "missing": list(self.verdict.missing),
-            "noticed_along_mm": dict(zip(("entry", "end"), self.noticed_mm, strict=True)),
-            "kind": self.kind.key,
-            "procedure": {"name": self.kind.name, "fingerprint": self.kind.fingerprint},
-            "side": self.side,
-            "limits": {
-                "position_mm": limits.position_mm,
-                "direction_deg": float(np.rad2deg(limits.direction_rad)),
-                "beyond_mm": limits.beyond_mm,
-                "before_mm": limits.before_mm,
-            },
-        }
+        noticed = dict(zip(("entry", "end"), self.noticed_mm, strict=True))
+        return {**verdict_document(self.verdict, self.kind, self.side), "noticed_along_mm": noticed}
 
     def landmarks_document(self) -> list[dict[str, Any]]:
         """Return the landmarks as JSON types: place (CFCS, mm), gap; `gap_sigma` is null where an error is unknown.
@@ -259,6 +245,25 @@ class Plan(Plotted):
             | (_by_view(self.views, residual_px[:, k]) if len(self.views) > 2 else {})
             for k in range(len(self.picks), len(seen.xyz_mm))
         ]
+
+
+def verdict_document(verdict: Verdict, kind: Procedure, side: str | None) -> dict[str, Any]:
+    """Return the verdict on a wire of a procedure, and the limits, as JSON types, without the checks."""
+    limits = kind.limits
+    return {
+        "go": verdict.go,
+        "verdict": verdict.state,
+        "missing": list(verdict.missing),
+        "kind": kind.key,
+        "procedure": {"name": kind.name, "fingerprint": kind.fingerprint},
+        "side": side,
+        "limits": {
+            "position_mm": limits.position_mm,
+            "direction_deg": float(np.rad2deg(limits.direction_rad)),
+            "beyond_mm": limits.beyond_mm,
+            "before_mm": limits.before_mm,
+        },
+    }
 
 
 class SharedInputs(TypedDict, total=False):

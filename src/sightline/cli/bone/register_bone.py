@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.base import ImagesFrame, Output, as_json, command, commands, frame_of_images
+from sightline.cli.base import ImagesFrame, Output, Side, as_json, command, commands, frame_of_images
 from sightline.cli.bone.render import VIEW_HELP, VolumeFile, newest_of_case, read_seen
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from sightline.calibration import CalibratedView
     from sightline.case.views import CalibratedImage
+    from sightline.from_images.ct_wire import CtWire
     from sightline.from_images.registration import BonePose, Start
     from sightline.imaging import Radiograph
 
@@ -135,6 +138,53 @@ class Beginning:
         return start_of_clicks(read_points(self.points), read_clicks(self.clicks), shown.views)
 
 
+@dataclass(frozen=True)
+class LineOfCt:
+    """A wire that was planned on the CT or mesh."""
+
+    line: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Wire planned on the CT or mesh: entry, then end, in a file like that of --points. It is placed in "
+            "the calibration frame, and judged as a plan.",
+            show_default=False,
+        ),
+    ] = None
+    procedure: Annotated[
+        str | None, typer.Option(help="What the wire is for; sets its limits.", show_default="hip-screw")
+    ] = None
+    side: Annotated[Side | None, typer.Option(help="Side of the patient; a robot needs it.", show_default=False)] = None
+
+    def read(self) -> "np.ndarray | None":
+        """Return entry and end (2, 3) in the coordinates of the CT or mesh. Raises UnusableInputError."""
+        import numpy as np
+
+        from sightline.calibration.exchange.markups import read_points
+        from sightline.errors import UnusableInputError
+
+        if self.line is None:
+            if self.procedure or self.side:
+                raise UnusableInputError(
+                    "--procedure and --side are those of a wire; give it with --line, or leave them"
+                )
+            return None
+        points = read_points(self.line)
+        names = [name.lower() for name in points]
+        if len(points) != 2 or names[0] in ("end", "tip") or names[1] == "entry":
+            raise UnusableInputError(
+                f"{self.line.name} holds {', '.join(points)[:80]}; give two points, the entry first"
+            )
+        return np.array(list(points.values()))
+
+    def placed(self, ends_mm: "np.ndarray", found: "BonePose") -> "CtWire":
+        """Return the wire in CFCS. Raises UnusableInputError."""
+        from sightline.from_images.ct_wire import ct_wire
+        from sightline.planning import kind
+
+        return ct_wire(found, ends_mm, kind(self.procedure or "hip-screw"), self.side)
+
+
 @command(
     commands,
     "register-bone",
@@ -151,6 +201,7 @@ def register_bone(
     volume: VolumeFile,
     shots: ShotFiles,
     beginning: Beginning,
+    wire: LineOfCt,
     out: Annotated[Path | None, typer.Option(help="Folder for the pose, for 3D Slicer too, and a picture.")] = None,
 ) -> None:
     """Find the pose of a bone's CT or mesh in two images.
@@ -161,31 +212,46 @@ def register_bone(
 
     with output.step("reading"):
         shown = shots.read(output)
-        start = beginning.read(shown)
+        start, line = beginning.read(shown), wire.read()
         scan = volume.read()
     with output.step("registering the bone"):
         found = registered(scan, shown.images, shown.views, start)
-    document = {**found.document(), "inputs": {"volume": digest_of(volume.what), **shown.inputs}}
     for sentence in found.sentences():
         output.say(sentence)
+    placed = None if line is None else wire.placed(line, found)
+    if placed is not None:
+        _say(output, placed)
+    document = {**found.document(), "inputs": {"volume": digest_of(volume.what), **shown.inputs}}
     if out is not None:
-        output.written(_write(out, found, document))
-    output.result(document, found.checks)
+        output.written(_write(out, found, placed, document))
+    if placed is not None:
+        document["plan"] = placed.document()
+    output.result(document, found.checks if placed is None else placed.verdict.checks)
 
 
-def _write(folder: Path, found: "BonePose", document: dict[str, Any]) -> list[Path]:
-    """Write pose and picture; return the files."""
+def _say(output: Output, placed: "CtWire") -> None:
+    for line in placed.summary().splitlines()[:4]:
+        output.say(line)
+    if placed.unchecked:
+        output.say(f"Not checked, for want of drawings in the images: {', '.join(placed.unchecked)}.")
+
+
+def _write(folder: Path, found: "BonePose", placed: "CtWire | None", document: dict[str, Any]) -> list[Path]:
+    """Write pose, plan and picture; return the files."""
     import numpy as np
 
     from sightline.case.interop.formats import transform_bytes
+    from sightline.case.interop.plan_file import sealed
     from sightline.common.atomic import write_folder
 
     # Slicer places objects by the inverse of the mapping in a file.
     for_slicer = transform_bytes(
         np.linalg.inv(found.pose.as_matrix()), "3D Slicer: places the CT or mesh in CFCS, mm; other programs: invert it"
     )
-    files = {"bone-pose.json": as_json(document).encode(), "bone-pose.tfm": for_slicer, "bone.png": found.png()}
-    return write_folder(folder, files)
+    files = {"bone-pose.json": as_json(document).encode(), "bone-pose.tfm": for_slicer}
+    if placed is not None:
+        files["plan.json"] = as_json(sealed({**placed.document(), "inputs": document["inputs"]})).encode()
+    return write_folder(folder, files | {"bone.png": (placed or found).png()})
 
 
 def digest_of(path: Path) -> str:

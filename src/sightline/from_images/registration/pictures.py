@@ -15,11 +15,25 @@ from sightline.from_images.registration.observed import Shot
 
 _SIZE_PX = 256  # [ours] of a shadow
 _BEAD = np.ones((17, 17), dtype=np.uint8)  # [ours] pixels that hold a bead, or two that touch
+_WIRE_POINTS = 21  # [ours] a wire bends with the image's distortion
 _EDGE = 0.85  # quantile of the shadow's gradient above which there is an edge [ours]
 
 
-def draw(axes: Any, shots: Sequence[Shot], bone: Bone, pose: RigidTransform) -> None:
-    """Draw a row for each view: the image, the shadow alone, and the shadow's edges over the image."""
+def size_in(count: int) -> tuple[float, float]:
+    """Return the size of a picture of `count` views, inches."""
+    return 6.0, 2.2 * count
+
+
+def new_axes(figure: Any, count: int) -> Any:
+    """Return the axes (count, 3) that `draw` fills."""
+    return figure.subplots(count, 3, squeeze=False)
+
+
+def draw(axes: Any, shots: Sequence[Shot], bone: Bone, pose: RigidTransform, wire_mm: np.ndarray | None = None) -> None:
+    """Draw a row for each view: the image, the shadow alone, and the shadow's edges over the image.
+
+    `wire_mm` (2, 3): entry and end of a wire, CFCS, over all of them, as far as the view is calibrated.
+    """
     from matplotlib.colors import to_rgba
 
     for row, shot in zip(axes, shots, strict=True):
@@ -38,3 +52,9 @@ def draw(axes: Any, shots: Sequence[Shot], bone: Bone, pose: RigidTransform) -> 
         over = np.zeros((*shape, 4))
         over[edges] = to_rgba(drawing.ORANGE, 0.7)
         row[2].imshow(over, interpolation="nearest")
+        if wire_mm is not None:
+            uv = shot.view.project_seen(np.linspace(wire_mm[0], wire_mm[1], _WIRE_POINTS))[0]
+            at = (uv - (seen.factor - 1) / 2) / seen.factor
+            for panel in row:
+                panel.plot(*at.T, color=drawing.BLUE)
+                panel.plot(*at[:1].T, "o", color=drawing.BLUE)  # the entry

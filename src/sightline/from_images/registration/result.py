@@ -13,6 +13,7 @@ from sightline.common.geometry.covariance import length_quantile
 from sightline.common.geometry.rigid import displacement
 from sightline.common.show import Plotted, checks_lines, numbers
 from sightline.errors import ErrorUnknownError
+from sightline.from_images.registration import pictures
 from sightline.from_images.registration.bone import Bone
 from sightline.from_images.registration.movement import Apart
 from sightline.from_images.registration.observed import Shot
@@ -93,12 +94,10 @@ class BonePose(Plotted):
         }
 
     def _new_axes(self, figure: Any) -> Any:
-        return figure.subplots(len(self.shots), 3, squeeze=False)
+        return pictures.new_axes(figure, len(self.shots))
 
     def _size_in(self) -> tuple[float, float]:
-        return 6.0, 2.2 * len(self.shots)
+        return pictures.size_in(len(self.shots))
 
     def _draw(self, ax: Any) -> None:
-        from sightline.from_images.registration.pictures import draw
-
-        draw(ax, self.shots, self.bone, self.pose)
+        pictures.draw(ax, self.shots, self.bone, self.pose)
