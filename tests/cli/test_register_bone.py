@@ -118,7 +118,8 @@ def test_the_pose_leaves_as_files_that_read_back(run: Callable, files: Files, tm
     written = json.loads((out / "bone-pose.json").read_text())
     assert written["matrix"] == ran.document["matrix"]
     assert written["trusted"]
-    assert len({written["inputs"]["volume"], *written["inputs"]["images"]}) == 3  # digests
+    assert [seen["view"] for seen in written["views"]] == ["pa", "lateral"]
+    assert len({written["volume"], *(seen["source"] for seen in written["views"])}) == 3  # digests
     image = sl.render(scan(), files.views[0], pose, SHAPE)
     assert image.pixels.shape == SHAPE
 
@@ -211,8 +212,10 @@ def test_a_case_gives_its_newest_images_and_views(pair: dict[str, Path], frame: 
         ref = stages.keep_frame(case, frame)
         for image in images:
             stages.record_view(case, pair[image.name], image, frame_ref=ref, by=Actor.RECEIVER)
+    named = [image.seen.source for image in images]
     shown = ShotFiles(case=tmp_path / "case").read(Output(json=False, quiet=True, every=False))
     assert [seen.name for seen in shown.views] == ["pa", "lateral"]
+    assert (shown.sources, shown.frame.fingerprint) == (named, frame.fingerprint)
     for image, seen, made in zip(shown.images, shown.views, images, strict=True):
         assert image.shape == seen.image_shape
         assert seen.focal_point_mm == pytest.approx(made.view.focal_point_mm, abs=1e-9)

@@ -334,7 +334,7 @@ def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple
             files[name] = cv2.imencode(".png", plate.pixels)[1].tobytes()
             plates[image.name] |= {"file": name, "white": seen.white}
     document = {
-        "frame": _frame(frame),
+        "frame": frame_document(frame),
         "plates": plates,
         "lines_of_sight": [line for k, image in enumerate(images) for line in _lines(plan, k, image)],
         "drawn": {image.name: _drawn(plan, k, image) for k, image in enumerate(images)},
@@ -342,7 +342,8 @@ def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple
     return document, files
 
 
-def _frame(frame: Frame) -> dict[str, Any]:
+def frame_document(frame: Frame) -> dict[str, Any]:
+    """Return the frame of a plan as the JSON types of `FrameReference`."""
     bodies = frame.named_plates if frame.solid is None else (("all", SOLID, frame.solid),)  # the rest is not CFCS
     beads = [
         {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}

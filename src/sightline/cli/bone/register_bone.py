@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from sightline.calibration import CalibratedView
     from sightline.case.views import CalibratedImage
+    from sightline.frame import Frame
     from sightline.from_images.ct_wire import CtWire
     from sightline.from_images.registration import BonePose, Start
     from sightline.imaging import Radiograph
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SeenBone:
-    """Images and their views, and what identifies them: digests by what they are of."""
+    """Images and their views, the names or digests of the images' files, and the frame whose beads they show."""
 
     images: "list[Radiograph]"
     views: "list[CalibratedView]"
-    inputs: dict[str, Any]
+    sources: list[str]
+    frame: "Frame | None" = None
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,8 @@ class ShotFiles:
 
     def read(self, output: Output) -> SeenBone:
         """Return the images and their views. Raises UnusableInputError, and what reading and calibrating raise."""
+        from sightline.case.stages import given_images
+        from sightline.case.views import calibrate_images
         from sightline.errors import UnusableInputError
         from sightline.imaging import read_image
 
@@ -69,29 +73,22 @@ class ShotFiles:
                 "in the same order or for none, or --case"
             )
         if not views:
-            return _of_beads("", self._calibrated(output, files))
+            frame = frame_of_images(output, self.frame)
+            return _of_beads(calibrate_images(given_images(files, frame).seen, frame, "smooth"), frame)
         if self.frame:
             raise UnusableInputError("--view gives the views; leave out --frame, which is for images with beads")
         images, seen = [read_image(file) for file in files], [read_seen(view)[0] for view in views]
-        return SeenBone(images, seen, {"images": [digest_of(file) for file in files], "views": views})
-
-    def _calibrated(self, output: Output, files: Sequence[Path]) -> "Sequence[CalibratedImage]":
-        from sightline.case.stages import given_images
-        from sightline.case.views import calibrate_images
-
-        frame = frame_of_images(output, self.frame)
-        return calibrate_images(given_images(files, frame).seen, frame, "smooth")
+        return SeenBone(images, seen, [digest_of(file) for file in files])
 
 
-def _of_beads(case: str, calibrated: "Sequence[CalibratedImage]") -> SeenBone:
+def _of_beads(calibrated: "Sequence[CalibratedImage]", frame: "Frame") -> SeenBone:
     """Return images that show the beads that their views were calibrated from. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
 
     images = [each.seen.image for each in calibrated if each.seen.image is not None]
     if len(images) < max(2, len(calibrated)):
         raise UnusableInputError("two calibrated images are needed, no tables of beads; give or acquire them")
-    inputs = {"images": [each.seen.source for each in calibrated], "views": [each.name for each in calibrated]}
-    return SeenBone(images, [each.view for each in calibrated], inputs | ({"case": case} if case else {}))
+    return SeenBone(images, [each.view for each in calibrated], [each.seen.source for each in calibrated], frame)
 
 
 @dataclass(frozen=True)
@@ -221,12 +218,25 @@ def register_bone(
     placed = None if line is None else wire.placed(line, found)
     if placed is not None:
         _say(output, placed)
-    document = {**found.document(), "inputs": {"volume": digest_of(volume.what), **shown.inputs}}
+    identity = _identity(shown)
+    document = {**found.document(), "volume": digest_of(volume.what), "views": identity["views"]}
+    plan = {} if placed is None else {**placed.document(), **identity}
     if out is not None:
-        output.written(_write(out, found, placed, document))
-    if placed is not None:
-        document["plan"] = placed.document()
+        output.written(_write(out, placed or found, document, plan))
+    if plan:
+        document["plan"] = plan
     output.result(document, found.checks if placed is None else placed.verdict.checks)
+
+
+def _identity(shown: SeenBone) -> dict[str, Any]:
+    """Return the images and the frame of a plan, by which a robot knows whether it was registered with them."""
+    from sightline.case.interop.plan_file import frame_document
+
+    named = zip(shown.views, shown.sources, strict=True)
+    return {
+        "views": [{"view": view.name, "source": source} for view, source in named],
+        "frame": None if shown.frame is None else frame_document(shown.frame),
+    }
 
 
 def _say(output: Output, placed: "CtWire") -> None:
@@ -236,8 +246,8 @@ def _say(output: Output, placed: "CtWire") -> None:
         output.say(f"Not checked, for want of drawings in the images: {', '.join(placed.unchecked)}.")
 
 
-def _write(folder: Path, found: "BonePose", placed: "CtWire | None", document: dict[str, Any]) -> list[Path]:
-    """Write pose, plan and picture; return the files."""
+def _write(folder: Path, drawn: "BonePose | CtWire", document: dict[str, Any], plan: dict[str, Any]) -> list[Path]:
+    """Write pose, picture, and plan if there is one; return the files."""
     import numpy as np
 
     from sightline.case.interop.formats import transform_bytes
@@ -246,12 +256,12 @@ def _write(folder: Path, found: "BonePose", placed: "CtWire | None", document: d
 
     # Slicer places objects by the inverse of the mapping in a file.
     for_slicer = transform_bytes(
-        np.linalg.inv(found.pose.as_matrix()), "3D Slicer: places the CT or mesh in CFCS, mm; other programs: invert it"
+        np.linalg.inv(document["matrix"]), "3D Slicer: places the CT or mesh in CFCS, mm; other programs: invert it"
     )
     files = {"bone-pose.json": as_json(document).encode(), "bone-pose.tfm": for_slicer}
-    if placed is not None:
-        files["plan.json"] = as_json(sealed({**placed.document(), "inputs": document["inputs"]})).encode()
-    return write_folder(folder, files | {"bone.png": (placed or found).png()})
+    if plan:
+        files["plan.json"] = as_json(sealed(plan)).encode()
+    return write_folder(folder, files | {"bone.png": drawn.png()})
 
 
 def digest_of(path: Path) -> str:

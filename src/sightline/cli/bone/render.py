@@ -13,6 +13,7 @@ from sightline.cli.base import Output, command, commands
 if TYPE_CHECKING:
     from sightline.calibration import CalibratedView
     from sightline.case.views import CalibratedImage
+    from sightline.frame import Frame
     from sightline.imaging.volumes import CtScan
 
     Seen = tuple[CalibratedView, tuple[int, int] | None]
@@ -109,7 +110,7 @@ def read_seen(given: str) -> "Seen":
     name, colon, path = given.partition(":")
     name, file = (name, Path(path)) if colon and len(name) > 1 else (None, Path(given))  # C:\... is a path of Windows
     if file.is_dir():
-        calibrated = {each.name: each.view for each in newest_of_case(file, name)[1]}
+        calibrated = {each.name: each.view for each in newest_of_case(file, name)[0]}
         return calibrated[_one_of(calibrated, name, file)], None
     is_json = file.suffix.lower() == ".json"
     if is_json and _SAVED.search(read_bounded(file, MAX_JSON_BYTES, UnusableInputError, "give the file of a view")):
@@ -120,18 +121,25 @@ def read_seen(given: str) -> "Seen":
     return pinhole.view(), pinhole.shape
 
 
-def newest_of_case(folder: Path, name: str | None = None) -> "tuple[str, list[CalibratedImage]]":
-    """Return the number of a case, and its newest calibrated image of each view, or of the view `name` alone if there
-    is one; computed again. Raises CaseError.
+def newest_of_case(folder: Path, name: str | None = None) -> "tuple[list[CalibratedImage], Frame]":
+    """Return a case's newest calibrated image of each view, or of the view `name` alone if there is one, computed
+    again, and their frame. Raises CaseError, and UnusableInputError for images of several frames.
     """
     from sightline.case.journal import Case, Kind
     from sightline.case.replay import Recomputed
+    from sightline.case.stages import frame_of
+    from sightline.errors import UnusableInputError
 
     with Case.open(folder, read_only=True) as case:
         newest = {str(entry.content["view"]): entry for entry in case.entries(Kind.CALIBRATED)}
         again = Recomputed(case)
-        chosen = [name] if name in newest else newest
-        return case.number, [again.calibrated(newest[view]) for view in chosen]
+        chosen = [newest[view] for view in ([name] if name in newest else newest)]
+        frames = sorted({str(entry.settings["frame"]) for entry in chosen})
+        if len(frames) != 1:
+            raise UnusableInputError(
+                f"the newest views of {folder.name} are of {len(frames)} frames; calibrate all in one frame"
+            )
+        return [again.calibrated(entry) for entry in chosen], frame_of(case, frames[0])
 
 
 def _one_of(views: Iterable[str], name: str | None, place: Path) -> str:
