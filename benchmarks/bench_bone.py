@@ -17,7 +17,7 @@ from benchmarks import gvxr
 from benchmarks.bone_trials import REACH, Record, fault_trial, right_trial, start_off
 from benchmarks.harness import Rows, finished, time_ms, trials
 from benchmarks.scenes.bones import FIRST_SEED, draw_bone_scene
-from sightline.from_images.registration import Bone, register_bone
+from sightline.from_images.registration import ScannedBone, register_bone
 
 TRIALS, FAULT_TRIALS, QUICK = 300, 120, 6
 # Mean error over the targets of a pose that counts as found, and of one that counts as wrong [ours].
@@ -137,7 +137,7 @@ def fault_rows(rows: Rows, count: int) -> None:
 def time_rows(rows: Rows) -> None:
     """Add the times of one scene: of a call when all is compiled, and of a program that compiles all."""
     scene = draw_bone_scene(FIRST_SEED, anatomy_name="femur", chain="panel")
-    bone = Bone.of_ct(scene.ct)
+    bone = ScannedBone.of_ct(scene.ct)
     start = start_off(scene, bone, np.random.default_rng(FIRST_SEED), REACH["near"])
     given = bone, list(scene.images.values()), scene.views(), start
     with tempfile.TemporaryDirectory() as folder:

@@ -11,7 +11,7 @@ from benchmarks.harness import mahalanobis2
 from benchmarks.scenes.bones import FAULTS, FIRST_SEED, BoneScene, draw_bone_scene
 from sightline.calibration import CalibratedView, view_from_matrix
 from sightline.errors import SightlineError
-from sightline.from_images.registration import Bone, Start, register_bone
+from sightline.from_images.registration import BoneStart, ScannedBone, register_bone
 from sightline.imaging import Radiograph
 from sightline.imaging.volumes import CtScan
 
@@ -25,7 +25,7 @@ Record = dict[str, Any]
 def right_trial(k: int) -> dict[str, Record]:
     """Return what each way of registering the bone of scene `k` gave, and the scene's strata."""
     scene, rng = draw_bone_scene(FIRST_SEED + k), np.random.default_rng([FIRST_SEED, k])
-    bone, images, views = Bone.of_ct(scene.ct), list(scene.images.values()), scene.views()
+    bone, images, views = ScannedBone.of_ct(scene.ct), list(scene.images.values()), scene.views()
     near, wide = (start_off(scene, bone, rng, reach) for reach in REACH.values())
     ways = {
         "own": (bone, images, views, near),
@@ -35,19 +35,19 @@ def right_trial(k: int) -> dict[str, Record]:
     if scene.strata["chain"] != "intensifier":
         exact = scene.exact_views()
         ways["exact"], ways["none exact"] = (bone, images, exact, near), (bone, images, exact, None)
-        ways["2 mm"] = Bone.of_ct(halved(scene.ct)), images, exact, near
+        ways["2 mm"] = ScannedBone.of_ct(halved(scene.ct)), images, exact, near
         if scene.strata["anatomy"] == "femur":
             ways["head"] = bone, head_alone(scene), exact, near
     ways["one view"] = bone, images[:1], views[:1], near
     return {"strata": scene.strata} | {way: registered(scene, *given) for way, given in ways.items()}
 
 
-def start_off(scene: BoneScene, bone: Bone, rng: np.random.Generator, reach: float) -> Start:
+def start_off(scene: BoneScene, bone: ScannedBone, rng: np.random.Generator, reach: float) -> BoneStart:
     """Return a start that is off by up to `reach`, mm and degrees, along each axis."""
     centre, shift = scene.pose.apply(bone.centre_mm), rng.uniform(-reach, reach, 3)
     turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-reach, reach, 3)))
     off = RigidTransform.from_components(centre + shift - turn.apply(centre), turn)
-    return Start(off * scene.pose, reach, np.deg2rad(reach))
+    return BoneStart(off * scene.pose, reach, np.deg2rad(reach))
 
 
 def halved(ct: CtScan) -> CtScan:
@@ -71,7 +71,11 @@ def head_alone(scene: BoneScene) -> list[Radiograph]:
 
 
 def registered(
-    scene: BoneScene, bone: Bone, images: Sequence[Radiograph], views: Sequence[CalibratedView], start: Start | None
+    scene: BoneScene,
+    bone: ScannedBone,
+    images: Sequence[Radiograph],
+    views: Sequence[CalibratedView],
+    start: BoneStart | None,
 ) -> Record:
     """Return errors of a pose: `error_mm` mean of the targets, `turn_deg`, squared lengths over the stated error of the
     pose and of the targets; whether it is trusted, and the failed checks. "said": why there is none."""
@@ -97,7 +101,7 @@ def fault_trial(k: int) -> Record:
     """Return what a scan or a bone with a fault gave with exact views; by turns one fault, or a bone that moved."""
     fault = (*FAULTS, "moved")[k % (len(FAULTS) + 1)]
     scene = draw_bone_scene(FAULT_SEED + k, chain="panel", fault=None if fault == "moved" else fault)
-    rng, bone, views = np.random.default_rng([FAULT_SEED, k]), Bone.of_ct(scene.ct), scene.exact_views()
+    rng, bone, views = np.random.default_rng([FAULT_SEED, k]), ScannedBone.of_ct(scene.ct), scene.exact_views()
     if fault == "moved":
         views[1] = seen_moved(views[1], rng)
     start = start_off(scene, bone, rng, REACH["near"])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import sightline as sl
 from sightline.calibration.exchange.pose_file import read_pose
-from sightline.from_images.registration import Start
+from sightline.from_images.registration import BoneStart
 
 DPI = 120
 
@@ -18,7 +18,7 @@ def main(folder: str, file: str) -> None:
     paths = [Path(folder) / f"out/hip/{view}.dcm" for view in ("pa", "lateral")]
     views = [sl.calibrate_image(path, "gamma") for path in paths]
     images = [sl.read_image(path) for path in paths]
-    start = Start(read_pose(Path(folder) / "out/bone/bone-pose.json"))
+    start = BoneStart(read_pose(Path(folder) / "out/bone/bone-pose.json"))
     found = sl.register_bone(Path(folder) / "bone.nrrd", images, views, start)
     Path(file).write_bytes(found.png(DPI))
 

@@ -188,7 +188,7 @@ def started(client: RobotClient) -> bool:
 
 def test_what_could_not_be_asked_is_not_passed():
     """No person agreed to the dry run, the frame's serial is another one, or another client holds the lease."""
-    plans, motions = 9, 13
+    plans, motions = 9, 14
     with scripted() as port, RobotClient(port=port) as client:
         address = f"127.0.0.1:{port}"
         for serial, least in (("SN-7", motions), ("SN-8", motions + plans), ("SN-7", motions + plans + 10)):

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.calibration import MatrixView, view_from_matrix
-from sightline.from_images.registration import Bone
+from sightline.from_images.registration import ScannedBone
 from sightline.imaging import Radiograph
 from sightline.imaging.volumes.ct import CtScan
 
@@ -79,6 +79,6 @@ def scan(voxel_mm: float = 1.0, size: float = 1.0, mirrored: bool = False) -> Ct
     return CtScan(hu, low @ CT_AXES, np.full(3, voxel_mm), CT_AXES)
 
 
-def bone(**scanned: float | bool) -> Bone:
+def bone(**scanned: float | bool) -> ScannedBone:
     """Return the bone of `scan`."""
-    return Bone.of_ct(scan(**scanned))
+    return ScannedBone.of_ct(scan(**scanned))

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
 from sightline.calibration import view_from_matrix
-from sightline.from_images.registration import Bone, BonePose, Start, register_bone
+from sightline.from_images.registration import BonePose, BoneStart, ScannedBone, register_bone
 from sightline.imaging import Radiograph
 from sightline.imaging.volumes import CtScan
 
@@ -36,7 +36,7 @@ IN_ELLIPSOID = chi2.isf(1e-3, 3)
 
 @dataclass(frozen=True)
 class Pair:
-    bone: Bone
+    bone: ScannedBone
     images: list[Radiograph]
     matrices: list[np.ndarray]
     pose: RigidTransform
@@ -49,7 +49,7 @@ class Pair:
             hu = kept["steps"].astype(np.int16) * STEP_HU
             names = [str(name) for name in kept["views"]]
             return Pair(
-                Bone.of_ct(CtScan(hu, kept["origin_mm"], kept["voxel_mm"], kept["axes"])),
+                ScannedBone.of_ct(CtScan(hu, kept["origin_mm"], kept["voxel_mm"], kept["axes"])),
                 [Radiograph(kept[f"code_{n}"].astype(np.uint16) ** 2, float(kept[f"white_{n}"])) for n in names],
                 [kept[f"matrix_{n}"] for n in names],
                 RigidTransform.from_matrix(kept["pose"]),
@@ -66,7 +66,7 @@ class Pair:
         off = RigidTransform.from_components(centre + shift - turn.apply(centre), turn)
         exact = np.zeros((12, 12))
         views = [view_from_matrix(m, exact, f"view {k}") for k, m in enumerate(self.matrices)]
-        start = Start(off * self.pose, SHIFT_MM, np.deg2rad(TURN_DEG))
+        start = BoneStart(off * self.pose, SHIFT_MM, np.deg2rad(TURN_DEG))
         return register_bone(self.bone, self.images, views, start)
 
     def errors_mm(self, found: BonePose) -> np.ndarray:

@@ -9,17 +9,17 @@ from tests.registration import balls
 
 from sightline.common.checks import CheckCode, failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
-from sightline.from_images.registration import Bone, BonePose, Start, register_bone
+from sightline.from_images.registration import BonePose, BoneStart, ScannedBone, register_bone
 from sightline.from_images.registration.align import moved
 
 CHI2_999 = 16.27  # of three numbers
 CODES = {CheckCode.BONE_FIT, CheckCode.BONE_SHAPE, CheckCode.BONE_MOVEMENT, CheckCode.BONE_ELSEWHERE}
 
 
-def start(seed: int) -> Start:
+def start(seed: int) -> BoneStart:
     """Return a start that is off by up to 10 mm and 10° per axis."""
     off = np.random.default_rng(seed).uniform(-1, 1, 6) * np.repeat([np.deg2rad(10.0), 10.0], 3)
-    return Start(moved(balls.POSE, off, balls.POSE.apply(np.zeros(3))))
+    return BoneStart(moved(balls.POSE, off, balls.POSE.apply(np.zeros(3))))
 
 
 @cache
@@ -100,10 +100,10 @@ def test_what_cannot_be_registered_is_refused_with_its_cause() -> None:
     images = scene.images()
     with pytest.raises(UnusableInputError, match="two images or more"):
         register_bone(bone, images[:1], scene.views[:1])
-    far = Start(RigidTransform.from_translation([0.0, 0.0, -5000.0]))
+    far = BoneStart(RigidTransform.from_translation([0.0, 0.0, -5000.0]))
     with pytest.raises(UnusableInputError, match="place of the start"):
         register_bone(bone, images, scene.views, far)
     soft = balls.scan()
     soft.hu[:] = 30
     with pytest.raises(UnusableInputError, match="no bone"):
-        Bone.of_ct(soft)
+        ScannedBone.of_ct(soft)

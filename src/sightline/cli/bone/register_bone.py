@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
     from sightline.frame import Frame
     from sightline.from_images.ct_wire import CtWire
-    from sightline.from_images.registration import BonePose, Start
+    from sightline.from_images.registration import BonePose, BoneStart
     from sightline.imaging import Radiograph
 
 
@@ -118,18 +118,18 @@ class Beginning:
         typer.Option(metavar="FILE", help="Pixels of the points in the images: CSV name,view,u,v.", show_default=False),
     ] = None
 
-    def read(self, shown: SeenBone) -> "Start | None":
+    def read(self, shown: SeenBone) -> "BoneStart | None":
         """Return the start. Raises UnusableInputError, and what reading and triangulating raise."""
         from sightline.calibration.exchange.markups import read_points
         from sightline.calibration.exchange.pose_file import read_pose
         from sightline.errors import UnusableInputError
-        from sightline.from_images.registration import Start
+        from sightline.from_images.registration import BoneStart
         from sightline.from_images.registration.clicks import read_clicks, start_of_clicks
 
         if (self.points is None) != (self.clicks is None):
             raise UnusableInputError("--points and --clicks belong together; give both")
         if self.points is None or self.clicks is None:
-            return None if self.start is None else Start(read_pose(self.start))
+            return None if self.start is None else BoneStart(read_pose(self.start))
         if self.start is not None:
             raise UnusableInputError("--start and --points both give a start; leave one out")
         return start_of_clicks(read_points(self.points), read_clicks(self.clicks), shown.views)

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.bone import ScannedBone
 from sightline.from_images.registration.cast import shadow_and_derivatives
-from sightline.from_images.registration.observed import Observed, Shot
+from sightline.from_images.registration.observed import BoneShot, Observed
 from sightline.from_images.registration.similarity import WINDOW, Normalised
 
 IMAGE_FLOOR, SHADOW_FLOOR = 0.01, 0.3  # of the local s.d. of attenuation [ours]
@@ -64,7 +64,7 @@ class Differences:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class BoneFit:
     """A pose, the differences of all views there, and their mean loss, 0 to 1."""
 
     pose: RigidTransform
@@ -92,18 +92,18 @@ def moved(pose: RigidTransform, step: np.ndarray, centre_mm: np.ndarray) -> Rigi
     return RigidTransform.from_components(centre_mm + step[3:] - turn.apply(centre_mm), turn) * pose
 
 
-def fit_at(shots: Sequence[Shot], bone: Bone, level: Level, pose: RigidTransform) -> Fit:
+def fit_at(shots: Sequence[BoneShot], bone: ScannedBone, level: Level, pose: RigidTransform) -> BoneFit:
     """Return the differences of shadows and images at a pose."""
-    return Fit(pose, [_differences(seen, bone, level, pose) for seen in _around(shots, bone, level, pose)])
+    return BoneFit(pose, [_differences(seen, bone, level, pose) for seen in _around(shots, bone, level, pose)])
 
 
-def _around(shots: Sequence[Shot], bone: Bone, level: Level, pose: RigidTransform) -> list[Observed]:
+def _around(shots: Sequence[BoneShot], bone: ScannedBone, level: Level, pose: RigidTransform) -> list[Observed]:
     """Return of each image what lies around the bone."""
     corners = pose.apply(bone.corners_mm)
     return [shot.pooled(level.size).around(corners) for shot in shots]
 
 
-def _differences(seen: Observed, bone: Bone, level: Level, pose: RigidTransform) -> Differences:
+def _differences(seen: Observed, bone: ScannedBone, level: Level, pose: RigidTransform) -> Differences:
     shape = seen.attenuation.shape
     shadow, by_pose = shadow_and_derivatives(seen.rays, bone.at(level.spacing_mm), pose, pose.apply(bone.centre_mm))
     usable = seen.known & _beside(seen.at(pose.apply(bone.cut_mm)), shape)
@@ -127,16 +127,16 @@ def _beside(at: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return rim == 0
 
 
-def align(shots: Sequence[Shot], bone: Bone, level: Level, pose: RigidTransform) -> Fit:
+def align(shots: Sequence[BoneShot], bone: ScannedBone, level: Level, pose: RigidTransform) -> BoneFit:
     """Return the fit that Gauss-Newton reaches from a pose."""
     seen = _around(shots, bone, level, pose)
-    fit, damping = Fit(pose, [_differences(view, bone, level, pose) for view in seen]), _DAMPING
+    fit, damping = BoneFit(pose, [_differences(view, bone, level, pose) for view in seen]), _DAMPING
     for _ in range(level.rounds):
         normal, gradient = fit.normal_equations()
         for _ in range(_TRIES):
             step = -np.linalg.solve(normal + (damping * np.diag(normal) + _RIDGE) * np.eye(6), gradient)
             pose = moved(fit.pose, step * _UNIT, fit.pose.apply(bone.centre_mm))
-            trial = Fit(pose, [_differences(view, bone, level, pose) for view in seen])
+            trial = BoneFit(pose, [_differences(view, bone, level, pose) for view in seen])
             if trial.loss < fit.loss * (1 + _NOISE):
                 break
             damping *= 8

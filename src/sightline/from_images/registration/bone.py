@@ -12,6 +12,7 @@ from sightline.imaging.volumes.ct import CtScan, shares_of_hu
 from sightline.imaging.volumes.volume import Volume
 
 BONE_HU = 100.0  # [ours] above soft tissue and its noise; cancellous bone has 100 to 300
+DENSE_HU = 400  # a fifth of dense bone: every bone's cortex has more, noise and tendons less [ours]
 _COARSE_MM = 4.0
 _EDGE_MM = 3.0  # [ours] kept around bone
 _CUT = 0.2  # [ours] share of bone above which a face of the volume cuts it
@@ -19,17 +20,17 @@ _EXCESS_PER_MM = (TABLE_PER_CM["bone"][1] - TABLE_PER_CM["tissue"][1]) / 10
 
 
 @dataclass(frozen=True, eq=False)
-class Bone:
+class ScannedBone:
     """The bone of a CT or mesh, in its own coordinates: `volume` of attenuation, 1/mm, beyond soft tissue's."""
 
     volume: Volume
 
     @staticmethod
-    def of_ct(scan: CtScan) -> "Bone":
+    def of_ct(scan: CtScan) -> "ScannedBone":
         """Return the bone of a scan that was cropped to it. Raises UnusableInputError without bone."""
-        hu = scan.hu
-        bone = np.where(hu > BONE_HU, shares_of_hu(hu)[1], 0.0).astype(np.float32)
-        return Bone(_cropped(Volume(bone * np.float32(_EXCESS_PER_MM), scan.origin_mm, scan.voxel_mm, scan.axes)))
+        scan = _cropped(scan)
+        share = np.where(scan.hu > BONE_HU, shares_of_hu(scan.hu)[1], np.float32(0.0))
+        return ScannedBone(Volume(share * _EXCESS_PER_MM, scan.origin_mm, scan.voxel_mm, scan.axes))
 
     @cached_property
     def centre_mm(self) -> np.ndarray:
@@ -86,21 +87,21 @@ class Bone:
         return {}
 
 
-def _cropped(volume: Volume) -> Volume:
-    """Return the part of a volume that holds bone, with a margin where there is one."""
-    solid = volume.values > _CUT * _EXCESS_PER_MM
-    if not solid.any():
+def _cropped(scan: CtScan) -> CtScan:
+    """Return the part of a scan that holds bone, with a margin where there is one. Raises UnusableInputError."""
+    dense = scan.hu > DENSE_HU
+    if not dense.any():
         raise UnusableInputError(
-            f"the CT holds no bone (no value above {BONE_HU:g} HU); give a CT in Hounsfield units, cropped to the bone"
+            f"the CT holds no bone (no value above {DENSE_HU} HU); give a CT in Hounsfield units, cropped to the bone"
         )
     low, high = [], []
     for a in range(3):
-        within = np.flatnonzero(solid.any(axis=tuple({0, 1, 2} - {a})))
-        margin = int(np.ceil(_EDGE_MM / volume.voxel_mm[a]))
+        within = np.flatnonzero(dense.any(axis=tuple({0, 1, 2} - {a})))
+        margin = int(np.ceil(_EDGE_MM / scan.voxel_mm[a]))
         low.append(max(int(within[0]) - margin, 0))
-        high.append(min(int(within[-1]) + margin + 1, solid.shape[a]))
-    part = volume.values[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-    return replace(volume, values=part, origin_mm=volume.origin_mm + (volume.voxel_mm * low) @ volume.axes)
+        high.append(min(int(within[-1]) + margin + 1, dense.shape[a]))
+    part = scan.hu[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    return replace(scan, hu=part, origin_mm=scan.origin_mm + (scan.voxel_mm * low) @ scan.axes)
 
 
 def _resampled(volume: Volume, spacing_mm: float) -> Volume:

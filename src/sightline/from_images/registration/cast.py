@@ -58,7 +58,7 @@ def _cast(part, parts, flat, shape, start, along, step_mm, sums):  # noqa: PLR09
         for a in range(3):
             slope, first = along[n, a], start[a]
             last = shape[a] - 1.001
-            if abs(slope) < 1e-12:
+            if slope * slope < 1e-24:
                 if first < 0.0 or first > last:
                     far = -1.0
             else:

@@ -8,11 +8,11 @@ from scipy.special import chdtri
 from scipy.stats import qmc
 
 from sightline.common.checks import FALSE_ALARM, Check, at_most
-from sightline.from_images.registration.align import FINE, MIDDLE, Fit, fit_at, moved
-from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.align import FINE, MIDDLE, BoneFit, fit_at, moved
+from sightline.from_images.registration.bone import ScannedBone
 from sightline.from_images.registration.edges import shifts_px
 from sightline.from_images.registration.movement import Apart
-from sightline.from_images.registration.observed import Shot
+from sightline.from_images.registration.observed import BoneShot
 
 # Loss at the pose over the least of the bone moved elsewhere. Right poses have 0.3 to 0.8, wrong ones and other bones
 # 0.95 to 1.1 [gVirtualXray].
@@ -27,7 +27,9 @@ MAX_EDGE_MM, _EDGES = 0.45, 0.75
 MIN_IN_FIELD = 0.4  # of the bone, in each view [ours]: the head of a femur is 0.4 of a scan of 100 mm
 
 
-def checks(shots: Sequence[Shot], bone: Bone, fits: Sequence[Fit], apart: Apart, error_known: bool) -> list[Check]:
+def checks(
+    shots: Sequence[BoneShot], bone: ScannedBone, fits: Sequence[BoneFit], apart: Apart, error_known: bool
+) -> list[Check]:
     """Return the checks of the first of the `fits`, best first; `apart`: of its views."""
     best = fits[0]
     return [
@@ -47,7 +49,7 @@ _UNKNOWN = (
 )
 
 
-def _fit(shots: Sequence[Shot], bone: Bone, best: Fit) -> Check:
+def _fit(shots: Sequence[BoneShot], bone: ScannedBone, best: BoneFit) -> Check:
     centre = best.pose.apply(bone.centre_mm)
     ways = 2 * qmc.Halton(6, scramble=False).random(_ELSEWHERE + 1)[1:] - 1
     ways[:, :3] *= _TURN_RAD / np.linalg.norm(ways[:, :3], axis=1, keepdims=True)
@@ -63,7 +65,7 @@ def _fit(shots: Sequence[Shot], bone: Bone, best: Fit) -> Check:
     )  # fmt: skip
 
 
-def _shape(shots: Sequence[Shot], bone: Bone, best: Fit) -> Check:
+def _shape(shots: Sequence[BoneShot], bone: ScannedBone, best: BoneFit) -> Check:
     """Return the check that the shadows have the outlines that the images show."""
     centre, shifts = best.pose.apply(bone.centre_mm), []
     for shot, view in zip(shots, best.views, strict=True):
@@ -80,7 +82,7 @@ def _shape(shots: Sequence[Shot], bone: Bone, best: Fit) -> Check:
     )  # fmt: skip
 
 
-def _rival(fits: Sequence[Fit]) -> Check:
+def _rival(fits: Sequence[BoneFit]) -> Check:
     """Return the check that no other pose fits as well."""
     if len(fits) < 2:
         return Check("bone elsewhere", True, None, None, "", "No other pose was found to fit.")
@@ -91,7 +93,7 @@ def _rival(fits: Sequence[Fit]) -> Check:
     return Check("bone elsewhere", passed, share, MIN_RIVAL_SHARE, "", sentence + advice, is_minimum=True)
 
 
-def _in_field(shot: Shot, bone: Bone, pose: RigidTransform) -> Check:
+def _in_field(shot: BoneShot, bone: ScannedBone, pose: RigidTransform) -> Check:
     share = shot.share_seen(pose.apply(bone.points_mm))
     passed = share >= MIN_IN_FIELD
     sentence = f"{100 * share:.0f} % of the bone lie in the field"

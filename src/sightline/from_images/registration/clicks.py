@@ -13,8 +13,8 @@ from sightline.calibration.exchange.markups import read_table
 from sightline.common.geometry.lines import meeting_point, unit
 from sightline.common.geometry.rigid import rigid_fit
 from sightline.errors import UnusableInputError
-from sightline.from_images.registration.bone import Bone
-from sightline.from_images.registration.search import Start
+from sightline.from_images.registration.bone import ScannedBone
+from sightline.from_images.registration.search import BoneStart
 
 MAX_APART_MM = 10.0  # [ours] of a clicked point from its place in the CT: the reach of a start
 # [ours] rms distance of the points from their common axis, below which clicks do not tell the rotation about it: errors
@@ -28,12 +28,12 @@ Clicks = Mapping[str, Mapping[str, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class AxisStart(Start):
+class AxisStart(BoneStart):
     """A start whose rotation about the axis through two points `ends_mm` (2, 3), CFCS, is not known."""
 
     ends_mm: np.ndarray
 
-    def turned(self, bone: Bone) -> list[RigidTransform]:
+    def turned(self, bone: ScannedBone) -> list[RigidTransform]:
         """Return poses of all rotations about the axis."""
         angles = 2 * np.pi * np.arange(_TURNS) / _TURNS
         turns = Rotation.from_rotvec(angles[:, None] * unit(self.ends_mm[1] - self.ends_mm[0]))
@@ -53,7 +53,7 @@ def read_clicks(path: str | Path) -> Clicks:
     return clicks
 
 
-def start_of_clicks(points_mm: Mapping[str, np.ndarray], clicks: Clicks, views: Sequence[CalibratedView]) -> Start:
+def start_of_clicks(points_mm: Mapping[str, np.ndarray], clicks: Clicks, views: Sequence[CalibratedView]) -> BoneStart:
     """Return the start at which points (3,) of the CT or mesh lie where their clicks' lines of sight meet.
 
     Two points, or points near one line, leave the rotation about it open: all are tried. Raises UnusableInputError for
@@ -85,7 +85,7 @@ def start_of_clicks(points_mm: Mapping[str, np.ndarray], clicks: Clicks, views: 
         )
     spread = np.linalg.svd(given - given.mean(axis=0), compute_uv=False)[1] / len(given) ** 0.5
     if spread >= _MIN_SPREAD_MM:
-        return Start(pose)
+        return BoneStart(pose)
     length = np.linalg.norm(found - found[0], axis=1)
     far = int(length.argmax())
     if length[far] < _MIN_LENGTH_MM:

@@ -7,9 +7,9 @@ from pathlib import Path
 from sightline.calibration import BeadView, CalibratedView
 from sightline.errors import UnusableInputError
 from sightline.from_images.registration import register
-from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.bone import ScannedBone
 from sightline.from_images.registration.result import BonePose
-from sightline.from_images.registration.search import Start
+from sightline.from_images.registration.search import BoneStart
 from sightline.imaging import Radiograph
 from sightline.imaging.volumes import CtScan, filled, read_ct, read_mesh
 from sightline.imaging.volumes.filled import CORTEX_MM
@@ -29,10 +29,10 @@ def read_volume(path: str | Path, cortex_mm: float | None = None) -> CtScan:
 
 
 def register_bone(
-    volume: Bone | CtScan | str | Path,
+    volume: ScannedBone | CtScan | str | Path,
     images: Sequence[Radiograph],
     views: Sequence[CalibratedView],
-    start: Start | None = None,
+    start: BoneStart | None = None,
 ) -> BonePose:
     """Return the pose of a bone in CFCS, from its CT or mesh, two images or more, and the view of each.
 
@@ -53,7 +53,7 @@ def register_bone(
                 f"view {view.name} is of an image of another size; give each image its own view, in the same order"
             )
     scan = read_volume(volume) if isinstance(volume, str | Path) else volume
-    bone = Bone.of_ct(scan) if isinstance(scan, CtScan) else scan
+    bone = ScannedBone.of_ct(scan) if isinstance(scan, CtScan) else scan
     found = register.register_bone(bone, images, views, start)
     return replace(
         found, checks=(*(check.of_view(view.name) for view in views for check in view.checks), *found.checks)

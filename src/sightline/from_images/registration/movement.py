@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 
 from sightline.from_images.registration import errors
-from sightline.from_images.registration.align import FINE, Fit, align
-from sightline.from_images.registration.bone import Bone
-from sightline.from_images.registration.observed import Shot
+from sightline.from_images.registration.align import FINE, BoneFit, align
+from sightline.from_images.registration.bone import ScannedBone
+from sightline.from_images.registration.observed import BoneShot
 
 # A bone that is larger by this share than its CT looks nearer to the source, in all views: 0.1 mm on either side of a
 # femur's shaft, as blur and threshold leave them [gVirtualXray: chi-squares of single views' poses are then 1.3 of what
@@ -38,7 +38,7 @@ class Apart:
         return float(np.sqrt(difference @ np.linalg.solve(to_first @ self.covariance @ to_first.T, difference)))
 
 
-def apart(shots: Sequence[Shot], bone: Bone, fit: Fit) -> Apart:
+def apart(shots: Sequence[BoneShot], bone: ScannedBone, fit: BoneFit) -> Apart:
     """Return how far the bone's poses in single views are from the common one."""
     centre, spread = fit.pose.apply(bone.centre_mm), fit.pose.rotation.apply(bone.spread_mm)
     count = len(shots)

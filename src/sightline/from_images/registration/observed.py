@@ -77,9 +77,11 @@ class Observed:
 
     def mm_per_px(self, xyz_mm: np.ndarray) -> float:
         """Return the size of a pooled pixel at a point (3,), CFCS."""
-        distance = np.linalg.norm(xyz_mm - self.view.focal_point_mm)
-        lines = self.view.lines_of_sight(self.view.project(xyz_mm[None]) + np.eye(2))
-        return float(self.factor * distance * np.linalg.norm(lines.directions[1] - lines.directions[0]) / 2**0.5)
+        lines = self.view.lines_of_sight(self.view.project(xyz_mm[None]))
+        share = np.linalg.norm(xyz_mm - lines.focal_point_mm) / np.linalg.norm(
+            lines.points_mm[0] - lines.focal_point_mm
+        )
+        return float(self.factor * share * np.sqrt(np.abs(np.linalg.det(lines.jacobian[0]))))
 
     def at(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the column and row (M, 2) of the pooled pixels that show points (N, 3), CFCS."""
@@ -93,7 +95,7 @@ class Observed:
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class BoneShot:
     """An image and its view."""
 
     image: Radiograph

@@ -9,9 +9,10 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.common import draw as drawing
 from sightline.from_images.registration.align import FINE
-from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.bone import ScannedBone
 from sightline.from_images.registration.cast import shadow
-from sightline.from_images.registration.observed import Shot
+from sightline.from_images.registration.observed import BoneShot
+from sightline.imaging.radiograph import stretched
 
 _SIZE_PX = 256  # [ours] of a shadow
 _BEAD = np.ones((17, 17), dtype=np.uint8)  # [ours] pixels that hold a bead, or two that touch
@@ -29,7 +30,9 @@ def new_axes(figure: Any, count: int) -> Any:
     return figure.subplots(count, 3, squeeze=False)
 
 
-def draw(axes: Any, shots: Sequence[Shot], bone: Bone, pose: RigidTransform, wire_mm: np.ndarray | None = None) -> None:
+def draw(
+    axes: Any, shots: Sequence[BoneShot], bone: ScannedBone, pose: RigidTransform, wire_mm: np.ndarray | None = None
+) -> None:
     """Draw a row for each view: the image, the shadow alone, and the shadow's edges over the image.
 
     `wire_mm` (2, 3): entry and end of a wire, CFCS, over all of them, as far as the view is calibrated.
@@ -40,13 +43,14 @@ def draw(axes: Any, shots: Sequence[Shot], bone: Bone, pose: RigidTransform, wir
         seen = shot.pooled(_SIZE_PX)
         shape = seen.attenuation.shape
         drawn = shadow(seen.rays, bone.at(FINE.spacing_mm), pose).reshape(shape)
-        field = cv2.morphologyEx(seen.usable.astype(np.uint8), cv2.MORPH_CLOSE, _BEAD)  # lines of sight, and beads
+        field = cv2.morphologyEx(seen.known.astype(np.uint8), cv2.MORPH_CLOSE, _BEAD)  # lines of sight, and beads
         drawn *= field
         steep = np.hypot(*np.gradient(drawn)) * cv2.erode(field, _BEAD[:5, :5])  # an edge of the field is none of bone
         edges = steep > np.quantile(steep[drawn > 0], _EDGE) if (drawn > 0).any() else drawn > 0
-        shown = [seen.attenuation, drawn, seen.attenuation]
+        image = stretched(-seen.attenuation, -seen.attenuation[seen.usable])
+        shown = [image, -drawn, image]
         for panel, picture, title in zip(row, shown, ("image", "bone", "edges of the bone"), strict=True):
-            panel.imshow(-picture, cmap="gray", interpolation="nearest")
+            panel.imshow(picture, cmap="gray", interpolation="nearest")
             panel.set_axis_off()
             panel.set_title(f"{shot.view.name}: {title}", loc="left", fontsize="small")
         over = np.zeros((*shape, 4))

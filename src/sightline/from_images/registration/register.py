@@ -6,18 +6,18 @@ from sightline.calibration import CalibratedView
 from sightline.common.threads import one_blas_thread
 from sightline.errors import UnusableInputError
 from sightline.from_images.registration import errors
-from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.bone import ScannedBone
 from sightline.from_images.registration.checks import checks
 from sightline.from_images.registration.movement import apart
-from sightline.from_images.registration.observed import Shot
+from sightline.from_images.registration.observed import BoneShot
 from sightline.from_images.registration.result import BonePose
-from sightline.from_images.registration.search import Start, search, started
+from sightline.from_images.registration.search import BoneStart, search, started
 from sightline.imaging import Radiograph
 
 
 @one_blas_thread
 def register_bone(
-    bone: Bone, images: Sequence[Radiograph], views: Sequence[CalibratedView], start: Start | None = None
+    bone: ScannedBone, images: Sequence[Radiograph], views: Sequence[CalibratedView], start: BoneStart | None = None
 ) -> BonePose:
     """Return the pose of a bone in CFCS from two images or more and the view of each, with its error and checks.
 
@@ -26,7 +26,7 @@ def register_bone(
     """
     if len(images) != len(views) or len(views) < 2:
         raise UnusableInputError(f"give two images or more, and a view for each, not {len(images)} and {len(views)}")
-    shots = [Shot(image, view) for image, view in zip(images, views, strict=True)]
+    shots = [BoneShot(image, view) for image, view in zip(images, views, strict=True)]
     fits = search(shots, bone, started(shots, bone, start))
     best = fits[0]
     centre, spread = best.pose.apply(bone.centre_mm), best.pose.rotation.apply(bone.spread_mm)

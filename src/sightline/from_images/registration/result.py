@@ -14,9 +14,9 @@ from sightline.common.geometry.rigid import displacement
 from sightline.common.show import Plotted, checks_lines, numbers
 from sightline.errors import ErrorUnknownError
 from sightline.from_images.registration import pictures
-from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.bone import ScannedBone
 from sightline.from_images.registration.movement import Apart
-from sightline.from_images.registration.observed import Shot
+from sightline.from_images.registration.observed import BoneShot
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,8 +33,8 @@ class BonePose(Plotted):
     covariance: np.ndarray | None
     apart: Apart
     checks: tuple[Check, ...]
-    bone: Bone
-    shots: Sequence[Shot]
+    bone: ScannedBone
+    shots: Sequence[BoneShot]
     loss: float
 
     @property

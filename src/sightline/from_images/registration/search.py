@@ -18,13 +18,13 @@ from sightline.from_images.registration.align import (
     IMAGE_FLOOR,
     MIDDLE,
     SHADOW_FLOOR,
-    Fit,
+    BoneFit,
     align,
     moved,
 )
-from sightline.from_images.registration.bone import Bone
+from sightline.from_images.registration.bone import ScannedBone
 from sightline.from_images.registration.cast import shadow
-from sightline.from_images.registration.observed import Observed, Shot
+from sightline.from_images.registration.observed import BoneShot, Observed
 from sightline.from_images.registration.similarity import Normalised
 from sightline.imaging.volumes.volume import Volume
 
@@ -39,14 +39,14 @@ _FIELD_MM = 150.0  # without a start the bone lies at most so far from where the
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class BoneStart:
     """A pose, and how far it may be off: each coordinate of the shift, mm, and of the rotation vector, rad."""
 
     pose: RigidTransform
     shift_mm: float = 10.0
     turn_rad: float = np.deg2rad(10.0)
 
-    def turned(self, bone: Bone) -> list[RigidTransform]:
+    def turned(self, bone: ScannedBone) -> list[RigidTransform]:
         """Return poses within reach of the rotation, the given one first."""
         ways = 2 * qmc.Halton(3, scramble=False).random(_NEAR) - 1
         ways[0] = 0.0
@@ -54,7 +54,7 @@ class Start:
         return [moved(self.pose, np.append(self.turn_rad * way, np.zeros(3)), centre) for way in ways]
 
 
-def started(shots: Sequence[Shot], bone: Bone, start: Start | None) -> list[RigidTransform]:
+def started(shots: Sequence[BoneShot], bone: ScannedBone, start: BoneStart | None) -> list[RigidTransform]:
     """Return poses to refine. Raises UnusableInputError where no view shows the place of the start."""
     if start is None:
         middles = [shot.view.lines_of_sight(shot.middle_px[None]) for shot in shots]
@@ -85,9 +85,9 @@ def _meeting(lines: Sequence[LinesOfSight]) -> np.ndarray:
     )
 
 
-def search(shots: Sequence[Shot], bone: Bone, poses: Iterable[RigidTransform]) -> list[Fit]:
+def search(shots: Sequence[BoneShot], bone: ScannedBone, poses: Iterable[RigidTransform]) -> list[BoneFit]:
     """Return the different fits that are reached from `poses` on the finest images, best first."""
-    fits: list[Fit] = []
+    fits: list[BoneFit] = []
     for level, kept in _LEVELS:
         fits = [align(shots, bone, level, pose) for pose in poses]
         fits = _distinct(sorted(fits, key=lambda fit: fit.loss), bone)[:kept]
@@ -95,8 +95,8 @@ def search(shots: Sequence[Shot], bone: Bone, poses: Iterable[RigidTransform]) -
     return fits
 
 
-def _distinct(fits: Sequence[Fit], bone: Bone) -> list[Fit]:
-    kept: list[Fit] = []
+def _distinct(fits: Sequence[BoneFit], bone: ScannedBone) -> list[BoneFit]:
+    kept: list[BoneFit] = []
     for fit in fits:
         corners = fit.pose.apply(bone.corners_mm)
         if all(np.linalg.norm(corners - other.pose.apply(bone.corners_mm), axis=1).max() > _SAME_MM for other in kept):
@@ -105,7 +105,7 @@ def _distinct(fits: Sequence[Fit], bone: Bone) -> list[Fit]:
 
 
 def _shifted(
-    shots: Sequence[Shot], bone: Bone, poses: Sequence[RigidTransform], reach_mm: float
+    shots: Sequence[BoneShot], bone: ScannedBone, poses: Sequence[RigidTransform], reach_mm: float
 ) -> list[RigidTransform]:
     """Return the poses, each shifted by at most about `reach_mm` to where its shadows match the images best; best
     first."""
@@ -136,7 +136,9 @@ class _Shown:
         usable = seen.known.astype(np.float64)
         values = Normalised.of(seen.attenuation, usable, IMAGE_FLOOR).values * usable
         size = [2 * n for n in usable.shape]
-        inner = cv2.erode(seen.calibrated.astype(np.uint8), np.ones((3, 3))).astype(bool)
+        inner = cv2.erode(
+            seen.calibrated.astype(np.uint8), np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT, borderValue=0
+        ).astype(bool)
         return _Shown(seen, inner, (np.fft.rfft2(values, size), np.fft.rfft2(values**2, size)))
 
     def match(
