@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sightline.frame import Frame as Frame
     from sightline.from_images.pipeline import calibrate_image as calibrate_image
     from sightline.from_images.pipeline import check_shot as check_shot
-    from sightline.from_images.registration.face import register_bone as register_bone
+    from sightline.from_images.registration.register import register_bone as register_bone
     from sightline.from_images.registration.render import render as render
     from sightline.from_images.registration.result import BonePose as BonePose
     from sightline.imaging import Radiograph as Radiograph
@@ -75,7 +75,7 @@ _HOMES = {
     "read_view": "calibration.exchange.formats",
     "plan": "planning",
     "reconstruct": "planning",
-    "register_bone": "from_images.registration.face",
+    "register_bone": "from_images.registration.register",
     "render": "from_images.registration.render",
     "report": "case.report.page",
     "save": "case.saved",

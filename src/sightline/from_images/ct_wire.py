@@ -12,13 +12,15 @@ from sightline.from_images.registration import pictures
 from sightline.from_images.registration.result import BonePose
 from sightline.planning import Procedure, SpacePoints, Trajectory, Verdict, judge
 from sightline.planning.plan import verdict_document
+from sightline.planning.verdict.bone_checks import not_made
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CtWire(Plotted):
     """A wire from entry to end with the registration's error, judged by a procedure's limits and the bone's checks.
 
-    No check compares it with the bone in the images: `unchecked` names those of the procedure that were not made.
+    The procedure's checks of the wire against the bone need drawings in the images: with any of them the wire is
+    incomplete.
     """
 
     trajectory: Trajectory
@@ -27,11 +29,6 @@ class CtWire(Plotted):
     side: str | None
     bone: BonePose
 
-    @property
-    def unchecked(self) -> tuple[str, ...]:
-        """Names of the procedure's checks of the wire against the bone, which need drawings of a plan on the images."""
-        return tuple(rule.check for rule in self.kind.checks)
-
     def summary(self) -> str:
         """Return the verdict, entry and end with their error bounds, and the checks that failed."""
         first = f"Wire of a {self.kind.name}, planned on the CT: {self.verdict.state.upper()}"
@@ -39,12 +36,11 @@ class CtWire(Plotted):
         return "\n".join([first, *path, *checks_lines(self.verdict.checks, 4)])
 
     def document(self) -> dict[str, Any]:
-        """Return the wire as the JSON types of `PlanDocument`, with `bone`, the registration, and `unchecked`."""
+        """Return the wire as the JSON types of `PlanDocument`, with `bone`, the registration."""
         return {
             **verdict_document(self.verdict, self.kind, self.side),
             "trajectory": self.trajectory.document(),
             "bone": self.bone.document(),
-            "unchecked": list(self.unchecked),
             "checks": [vars(check) for check in self.verdict.checks],
         }
 
@@ -77,7 +73,8 @@ def ct_wire(found: BonePose, ends_mm: np.ndarray, kind: Procedure, side: str | N
     judged = judge(trajectory, views, kind.limits).checks
     # Movement is judged by the bone's own check, which needs no landmarks.
     own = [check for check in judged if check.code is not CheckCode.MOVEMENT]
-    return CtWire(trajectory, Verdict(tuple(dict.fromkeys([*found.checks, *own]))), kind, side, found)
+    wanting = not_made(kind.checks, "it needs the bone drawn in the images; judge the wire there with `sightline plan`")
+    return CtWire(trajectory, Verdict(tuple(dict.fromkeys([*found.checks, *own, *wanting]))), kind, side, found)
 
 
 def _inside(found: BonePose, xyz_mm: np.ndarray) -> np.ndarray:

@@ -149,7 +149,12 @@ class LineOfCt:
         ),
     ] = None
     procedure: Annotated[
-        str | None, typer.Option(help="What the wire is for; sets its limits.", show_default="hip-screw")
+        str | None,
+        typer.Option(
+            help="What the wire is for; sets its limits. One that asks for checks against the bone leaves the wire "
+            "incomplete.",
+            show_default="free-wire",
+        ),
     ] = None
     side: Annotated[Side | None, typer.Option(help="Side of the patient; a robot needs it.", show_default=False)] = None
 
@@ -179,7 +184,7 @@ class LineOfCt:
         from sightline.from_images.ct_wire import ct_wire
         from sightline.planning import kind
 
-        return ct_wire(found, ends_mm, kind(self.procedure or "hip-screw"), self.side)
+        return ct_wire(found, ends_mm, kind(self.procedure or "free-wire"), self.side)
 
 
 @command(
@@ -242,8 +247,6 @@ def _identity(shown: SeenBone) -> dict[str, Any]:
 def _say(output: Output, placed: "CtWire") -> None:
     for line in placed.summary().splitlines()[:4]:
         output.say(line)
-    if placed.unchecked:
-        output.say(f"Not checked, for want of drawings in the images: {', '.join(placed.unchecked)}.")
 
 
 def _write(folder: Path, drawn: "BonePose | CtWire", document: dict[str, Any], plan: dict[str, Any]) -> list[Path]:

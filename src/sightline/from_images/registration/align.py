@@ -11,12 +11,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.from_images.registration.bone import ScannedBone
 from sightline.from_images.registration.cast import shadow_and_derivatives
 from sightline.from_images.registration.observed import BoneShot, Observed
-from sightline.from_images.registration.similarity import WINDOW, Normalised
+from sightline.from_images.registration.similarity import WINDOW, Normalised, block_sums
 
 IMAGE_FLOOR, SHADOW_FLOOR = 0.01, 0.3  # of the local s.d. of attenuation [ours]
 FLAT = 0.05  # local s.d. of the shadow's attenuation at which a pixel has half its weight [ours]
 _SCALE = 0.7  # of a normalised difference beyond which it counts less [ours]
 _LEAST_AREA = 0.3  # of a window [ours]
+_BLOCK_PX = 12  # of the shifts of edges: a window and its surroundings [ours]
+_LEAST_INFORMATION = 0.3  # of a direction in a block, 1/px²: less does not tell a shift [ours]
 _GAP_PX = 5  # [ours] between the images of neighbouring points of a cut
 _UNIT = np.repeat([1 / 40.0, 1.0], 3)  # a rotation by 1 rad counts like a shift by 40 mm [ours]
 _DAMPING, _RIDGE = 1e-3, 1e-9  # of Levenberg and Marquardt's steps
@@ -36,7 +38,7 @@ class Level:
 
 # [ours] 32 px find the basin of starts 10° off three times in four, in milliseconds. 256 px move the result by
 # less than 0.02 mm.
-COARSE, MIDDLE, FINE = Level(32, 4.0, 8), Level(64, 2.0, 8), Level(128, 1.0, 12)
+COARSE, MIDDLE, FINE = Level(32, 4.0, 8), Level(64, 2.0, 12), Level(128, 1.0, 40)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +63,18 @@ class Differences:
         """(H, W) twice: the loss's first derivative over the residual, and its second one; times a constant."""
         q = (self.residual / _SCALE) ** 2
         return self.weight / (1 + q) ** 2, self.weight * (1 - 3 * q) / (1 + q) ** 3
+
+    def edge_shifts_px(self) -> np.ndarray:
+        """Return the shifts (N, 2) that would match blocks of the shadow with the image, each in one direction in which
+        the block has edges: its length, px, and its information, 1/px²."""
+        down, right = np.gradient(self.shadow.values)
+        weight, left = self.loss_by_residual[0], self.residual
+        products = np.stack([right * right, right * down, down * down, right * left, down * left], axis=-1)
+        sums = block_sums(weight[:, :, None] * products, _BLOCK_PX)
+        information, vectors = np.linalg.eigh(sums[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
+        pulls = np.einsum("nki,nk->ni", vectors, sums[:, 3:])
+        told = information > _LEAST_INFORMATION
+        return np.stack([np.abs(pulls[told] / information[told]), information[told]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,6 @@ from scipy.stats import qmc
 from sightline.common.checks import FALSE_ALARM, Check, at_most
 from sightline.from_images.registration.align import FINE, MIDDLE, BoneFit, fit_at, moved
 from sightline.from_images.registration.bone import ScannedBone
-from sightline.from_images.registration.edges import shifts_px
 from sightline.from_images.registration.movement import Apart
 from sightline.from_images.registration.observed import BoneShot
 
@@ -69,7 +68,7 @@ def _shape(shots: Sequence[BoneShot], bone: ScannedBone, best: BoneFit) -> Check
     """Return the check that the shadows have the outlines that the images show."""
     centre, shifts = best.pose.apply(bone.centre_mm), []
     for shot, view in zip(shots, best.views, strict=True):
-        found = shifts_px(view)
+        found = view.edge_shifts_px()
         shifts.append(found * [shot.pooled(FINE.size).mm_per_px(centre), 1.0])
     length, information = np.concatenate(shifts)[np.argsort(np.concatenate(shifts)[:, 0])].T
     share = np.cumsum(information) / information.sum() if len(information) else np.zeros(0)

@@ -282,6 +282,14 @@ def _unmade(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
     return unmade
 
 
+def not_made(rules: Sequence[CheckRule], why: str) -> tuple[Check, ...]:
+    """Return the checks of `rules` as missing, for a wire that is planned without drawings of the bone."""
+    names = dict.fromkeys(_NAMES.get(rule.check, rule.check) for rule in rules if rule.optional is None)
+    return tuple(
+        Check(name, False, None, None, "", f"The check '{name}' is not made: {why}.", missing=True) for name in names
+    )
+
+
 def _order(centre: np.ndarray) -> Measure:
     def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
         return _distance(entry, centre) - _distance(end, centre)
