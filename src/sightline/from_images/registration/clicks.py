@@ -10,11 +10,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.calibration import CalibratedView
 from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.markups import read_table
-from sightline.common.geometry.lines import meeting_point, unit
+from sightline.common.geometry.lines import unit
 from sightline.common.geometry.rigid import rigid_fit
 from sightline.errors import UnusableInputError
 from sightline.from_images.registration.bone import ScannedBone
-from sightline.from_images.registration.search import BoneStart
+from sightline.from_images.registration.search import BoneStart, meeting
 
 MAX_APART_MM = 10.0  # [ours] of a clicked point from its place in the CT: the reach of a start
 # [ours] rms distance of the points from their common axis, below which clicks do not tell the rotation about it: errors
@@ -75,7 +75,7 @@ def start_of_clicks(points_mm: Mapping[str, np.ndarray], clicks: Clicks, views: 
     if len(both) < 2:
         raise UnusableInputError(f"{len(both)} points are clicked in two views; click two points or more in each")
     given = np.array([points_mm[name] for name in both])
-    found = np.array([_meeting([(by_name[view], uv) for view, uv in clicks[name].items()]) for name in both])
+    found = np.array([meeting((by_name[view], uv) for view, uv in clicks[name].items()) for name in both])
     pose = rigid_fit(given, found)
     apart = np.linalg.norm(pose.apply(given) - found, axis=1)
     if apart.max() > MAX_APART_MM:
@@ -94,10 +94,3 @@ def start_of_clicks(points_mm: Mapping[str, np.ndarray], clicks: Clicks, views: 
             "axis); click points further apart"
         )
     return AxisStart(pose=pose, ends_mm=found[[0, far]])
-
-
-def _meeting(clicked: Sequence[tuple[CalibratedView, np.ndarray]]) -> np.ndarray:
-    lines = [view.lines_of_sight(uv[None]) for view, uv in clicked]
-    return meeting_point(
-        np.array([each.focal_point_mm for each in lines]), np.concatenate([each.directions for each in lines])
-    )

@@ -76,11 +76,10 @@ class Observed:
         )
 
     def mm_per_px(self, xyz_mm: np.ndarray) -> float:
-        """Return the size of a pooled pixel at a point (3,), CFCS."""
-        lines = self.view.lines_of_sight(self.view.project(xyz_mm[None]))
-        share = np.linalg.norm(xyz_mm - lines.focal_point_mm) / np.linalg.norm(
-            lines.points_mm[0] - lines.focal_point_mm
-        )
+        """Return the size of a pooled pixel in the middle of the image, at the depth of a point (3,), CFCS."""
+        lines = self.view.lines_of_sight(self._uv_px[self.calibrated.ravel()].mean(axis=0)[None])
+        focal = lines.focal_point_mm
+        share = np.linalg.norm(xyz_mm - focal) / np.linalg.norm(lines.points_mm[0] - focal)
         return float(self.factor * share * np.sqrt(np.abs(np.linalg.det(lines.jacobian[0]))))
 
     def at(self, xyz_mm: np.ndarray) -> np.ndarray:

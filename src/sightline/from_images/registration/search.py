@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import qmc
 
-from sightline.calibration import LinesOfSight
+from sightline.calibration import CalibratedView
 from sightline.common.geometry.lines import meeting_point
 from sightline.errors import UnusableInputError
 from sightline.from_images.registration.align import (
@@ -57,8 +57,7 @@ class BoneStart:
 def started(shots: Sequence[BoneShot], bone: ScannedBone, start: BoneStart | None) -> list[RigidTransform]:
     """Return poses to refine. Raises UnusableInputError where no view shows the place of the start."""
     if start is None:
-        middles = [shot.view.lines_of_sight(shot.middle_px[None]) for shot in shots]
-        at = _meeting(middles)
+        at = meeting((shot.view, shot.middle_px) for shot in shots)
         turns = Rotation.from_quat(_all_turns(_ALL))
         poses = [RigidTransform.from_components(at - turn.apply(bone.centre_mm), turn) for turn in turns]
         found = _shifted(shots, bone, poses, _FIELD_MM)[:_REFINED_ALL]
@@ -79,7 +78,12 @@ def _all_turns(count: int) -> np.ndarray:
     return np.stack([radius * np.sin(alpha), radius * np.cos(alpha), rest * np.sin(beta), rest * np.cos(beta)], axis=1)
 
 
-def _meeting(lines: Sequence[LinesOfSight]) -> np.ndarray:
+def meeting(seen: Iterable[tuple[CalibratedView, np.ndarray]]) -> np.ndarray:
+    """Return the point (3,), CFCS, that is nearest to the lines of sight of a pixel (2,) in each view.
+
+    Raises OutsideRegionError, ReconstructionRefusedError.
+    """
+    lines = [view.lines_of_sight(uv[None]) for view, uv in seen]
     return meeting_point(
         np.array([each.focal_point_mm for each in lines]), np.concatenate([each.directions for each in lines])
     )
@@ -116,9 +120,9 @@ def _shifted(
         matches = [image.match(bone.at(COARSE.spacing_mm), pose, centre, reach_mm) for image in shown]
         if any(match is None for match in matches):
             continue
-        lines = [shot.view.lines_of_sight(match[1][None]) for shot, match in zip(shots, matches, strict=True) if match]
+        at = meeting((shot.view, match[1]) for shot, match in zip(shots, matches, strict=True) if match)
         score = sum(match[0] for match in matches if match)
-        found.append((score, RigidTransform.from_translation(_meeting(lines) - centre) * pose))
+        found.append((score, RigidTransform.from_translation(at - centre) * pose))
     return [pose for _, pose in sorted(found, key=lambda entry: -entry[0])]
 
 
