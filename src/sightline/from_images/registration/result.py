@@ -26,6 +26,10 @@ class BonePose(Plotted):
     `covariance` (6, 6): of a rotation vector about `centre_mm` (3,), CFCS, rad, and a shift, mm, both CFCS; None where
     a view's error is unknown. `apart`: the views' own poses. `loss`: mean of the differences of shadows and images, 0
     to 1; it compares poses of one bone in the same images, and nothing else.
+
+    >>> import inspect
+    >>> list(inspect.signature(sl.BonePose.covariance_at).parameters)
+    ['self', 'xyz_mm']
     """
 
     pose: RigidTransform
