@@ -119,8 +119,10 @@ def adapter(franky: Any) -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sys.modules, "franky", franky)
         patch.delitem(sys.modules, name, raising=False)
-        yield importlib.import_module(name)
-        sys.modules.pop(name)
+        try:
+            yield importlib.import_module(name)
+        finally:
+            sys.modules.pop(name)
 
 
 @pytest.fixture
