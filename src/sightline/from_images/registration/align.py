@@ -43,14 +43,18 @@ COARSE, MIDDLE, FINE = Level(32, 4.0, 8), Level(64, 2.0, 12), Level(128, 1.0, 40
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Shadow less image at a pose, normalised: `residual` (H, W), derivatives `by_pose` (H, W, 6) by rotation
-    vector about the bone's centre and shift, mm, `weight` (H, W)."""
+    """Shadow less image at a pose, normalised: `residual` (H, W), `weight` (H, W); derivatives `shadow_by_pose`
+    (H, W, 6) of the shadow before it was normalised, by rotation vector about the bone's centre and shift, mm."""
 
     residual: np.ndarray
-    by_pose: np.ndarray
+    shadow_by_pose: np.ndarray
     weight: np.ndarray
     shadow: Normalised
-    image: Normalised
+
+    @cached_property
+    def by_pose(self) -> np.ndarray:
+        """(H, W, 6) derivatives of `residual`; a step that is rejected needs none."""
+        return self.shadow.derivatives(self.shadow_by_pose)
 
     @cached_property
     def loss(self) -> float:
@@ -125,8 +129,7 @@ def _differences(seen: Observed, bone: ScannedBone, level: Level, pose: RigidTra
     drawn = Normalised.of(shadow.reshape(shape), weight, SHADOW_FLOOR)
     shown = Normalised.of(seen.attenuation, weight, IMAGE_FLOOR)
     weight *= drawn.variance / (drawn.variance + FLAT**2) * (drawn.area > _LEAST_AREA * WINDOW**2)
-    by_pose = drawn.derivatives(by_pose.reshape(*shape, 6))
-    return Differences(drawn.values - shown.values, by_pose, weight, drawn, shown)
+    return Differences(drawn.values - shown.values, by_pose.reshape(*shape, 6), weight, drawn)
 
 
 def _beside(at: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -70,7 +70,8 @@ def _shape(shots: Sequence[BoneShot], bone: ScannedBone, best: BoneFit) -> Check
     for shot, view in zip(shots, best.views, strict=True):
         found = view.edge_shifts_px()
         shifts.append(found * [shot.pooled(FINE.size).mm_per_px(centre), 1.0])
-    length, information = np.concatenate(shifts)[np.argsort(np.concatenate(shifts)[:, 0])].T
+    every = np.concatenate(shifts)
+    length, information = every[np.argsort(every[:, 0])].T
     share = np.cumsum(information) / information.sum() if len(information) else np.zeros(0)
     figure = float(length[np.searchsorted(share, _EDGES)]) if len(share) else float("inf")
     return at_most(
@@ -88,7 +89,7 @@ def _rival(fits: Sequence[BoneFit]) -> Check:
     share = fits[1].loss / fits[0].loss
     passed = share >= MIN_RIVAL_SHARE
     sentence = f"The next pose that fits differs {share:.2f} times as much"
-    advice = ": the two cannot be told apart. Give a start, or points clicked in both views." if not passed else "."
+    advice = ": the two cannot be distinguished. Give a start, or points clicked in both views." if not passed else "."
     return Check("bone elsewhere", passed, share, MIN_RIVAL_SHARE, "", sentence + advice, is_minimum=True)
 
 

@@ -68,8 +68,8 @@ def start_of_clicks(points_mm: Mapping[str, np.ndarray], clicks: Clicks, views: 
     )
     if unknown:
         raise UnusableInputError(
-            f"the clicks name {', '.join(unknown)}, which is no point and no view; points: {', '.join(points_mm)}; "
-            f"views: {', '.join(by_name)}"
+            f"the clicks name {', '.join(unknown)}, neither points nor views; points: {', '.join(points_mm)}; views: "
+            f"{', '.join(by_name)}"
         )
     both = [name for name, seen in clicks.items() if len(seen) > 1]
     if len(both) < 2:
