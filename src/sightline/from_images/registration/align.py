@@ -124,11 +124,10 @@ def _around(shots: Sequence[BoneShot], bone: ScannedBone, level: Level, pose: Ri
 def _differences(seen: Observed, bone: ScannedBone, level: Level, pose: RigidTransform) -> Differences:
     shape = seen.attenuation.shape
     shadow, by_pose = shadow_and_derivatives(seen.rays, bone.at(level.spacing_mm), pose, pose.apply(bone.centre_mm))
-    usable = seen.known & _beside(seen.at(pose.apply(bone.cut_mm)), shape)
-    weight = usable.astype(np.float64)
-    drawn = Normalised.of(shadow.reshape(shape), weight, SHADOW_FLOOR)
-    shown = Normalised.of(seen.attenuation, weight, IMAGE_FLOOR)
-    weight *= drawn.variance / (drawn.variance + FLAT**2) * (drawn.area > _LEAST_AREA * WINDOW**2)
+    usable = (seen.known & _beside(seen.at(pose.apply(bone.cut_mm)), shape)).astype(np.float64)
+    drawn = Normalised.of(shadow.reshape(shape), usable, SHADOW_FLOOR)
+    shown = Normalised.of(seen.attenuation, usable, IMAGE_FLOOR)
+    weight = usable * drawn.variance / (drawn.variance + FLAT**2) * (drawn.area > _LEAST_AREA * WINDOW**2)
     return Differences(drawn.values - shown.values, by_pose.reshape(*shape, 6), weight, drawn)
 
 
