@@ -11,7 +11,7 @@ from sightline.errors import RobotRefusedError
 from sightline.robot.kinematics.designs import DESIGNS, Design
 from sightline.robot.kinematics.manipulator import MIN_SINGULAR
 from sightline.robot.kinematics.target import STANDOFF_MM
-from sightline.studies.fig15 import Figure15
+from sightline.studies.rendered.fig15 import Figure15
 from sightline.studies.scenes import PAPER_DEG, PAPER_MM
 
 FIRST_SEED = 34

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Rows, spread, trials
-from sightline.studies.fig15 import Figure15
+from sightline.studies.rendered.fig15 import Figure15
 from sightline.studies.scenes import PAPER_DEG, PAPER_MM
 
 TRIALS = 60

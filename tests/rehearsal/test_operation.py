@@ -15,7 +15,7 @@ from sightline.robot.control.states import State
 from sightline.robot.kinematics.designs import FEED, imaging_yaw, nominal_manipulator
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target
 from sightline.robot.link.client import RobotClient
-from sightline.studies.fig15 import Figure15
+from sightline.studies.rendered.fig15 import Figure15
 from sightline.twin.robot.plant import Hand
 
 IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.errors import LabellingRefusedError
-from sightline.studies import porcine as study_porcine
-from sightline.studies.porcine import Porcine
+from sightline.studies.rendered import porcine as study_porcine
+from sightline.studies.rendered.porcine import Porcine
 from sightline.studies.scenes import PHANTOMS
 
 PIG = Porcine(phantoms=("porcine",))

@@ -4,9 +4,10 @@ from sightline.errors import UnusableInputError
 from sightline.studies.budget import Budget
 from sightline.studies.coverage import Coverage
 from sightline.studies.fig13 import Figure13
-from sightline.studies.fig15 import Figure15
 from sightline.studies.frame_design import FrameDesignStudy
-from sightline.studies.porcine import Porcine
+from sightline.studies.rendered.fig15 import Figure15
+from sightline.studies.rendered.porcine import Porcine
+from sightline.studies.rendered.register_bone import RegisterBone
 from sightline.studies.runs.study import Study
 from sightline.studies.table1 import Table1
 from sightline.studies.wrong_plans import WrongPlans
@@ -20,6 +21,7 @@ _ALL: tuple[Study, ...] = (
     Porcine(),
     Figure15(),
     WrongPlans(),
+    RegisterBone(),
 )
 STUDIES: dict[str, Study] = {study.name: study for study in _ALL}
 

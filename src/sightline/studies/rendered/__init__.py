@@ -1,0 +1,1 @@
+"""Studies whose trials render images and find everything in them."""
