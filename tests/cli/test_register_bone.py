@@ -28,6 +28,7 @@ from sightline.imaging import write_dicom
 from sightline.imaging.volumes import CtScan
 from sightline.imaging.volumes.ct import hu_of_bone, write_ct
 from sightline.planning import kind
+from sightline.planning.bone.registered import RegisteredBone
 
 # Off the grid, without symmetry; the first is the largest.
 CENTRES_MM = np.array([[3.2, -1.1, 41.3], [-14.9, 6.2, 22.7], [2.3, 3.9, 1.4], [-3.8, -9.6, -22.2], [7.1, 4.4, -38.9]])
@@ -118,8 +119,10 @@ def test_the_pose_leaves_as_files_that_read_back(run: Callable, files: Files, tm
     written = json.loads((out / "bone-pose.json").read_text())
     assert written["matrix"] == ran.document["matrix"]
     assert written["trusted"]
-    assert [seen["view"] for seen in written["views"]] == ["pa", "lateral"]
-    assert len({written["volume"], *(seen["source"] for seen in written["views"])}) == 3  # digests
+    bone = sl.load(out / "bone-pose.json", RegisteredBone)
+    assert [seen.view for seen in bone.views] == ["pa", "lateral"]
+    bone.refuse_other_views(files.views)
+    assert len({bone.volume_sha256, *(seen.pixels_sha256 for seen in bone.views)}) == 3
     image = sl.render(scan(), files.views[0], pose, SHAPE)
     assert image.pixels.shape == SHAPE
 

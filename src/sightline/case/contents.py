@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.view import CalibratedView
-from sightline.case.canonical import digest, plain, with_null
+from sightline.case.canonical import plain, with_null
 from sightline.case.views import CalibratedImage, view_document
 from sightline.common.checks import Limits
 from sightline.detection import Detections, Observations
@@ -28,6 +28,7 @@ from sightline.planning import (
     plan,
     plan_wires,
 )
+from sightline.planning.bone.registered import RegisteredBone
 from sightline.planning.check.adjustment import on_patient
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.wires import Beforehand, Landmarks, PlacedWire, picked_wire
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 Pair = tuple[CalibratedImage, CalibratedImage]
 Images = tuple[CalibratedImage, ...]  # of a plan: PA, lateral, and the third where there is one
-_RARE = ("others", "placed", "nail", "method")  # of a request: written only where they differ from the default
+_RARE = ("others", "placed", "nail", "method", "bone")  # of a request: written only where they differ from the default
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +53,8 @@ class PlanRequest:
     wire; `procedure`: the content of its file where that is not shipped. `limits`: set where they replace those of the
     procedure. `others`: picks of the procedure's other wires where all are planned together, `placed`: its wires that
     are in the bone already, both by key; None for a wire alone. `nail`: then the points are those of its holes, which
-    are found in the images; of each hole that is planned the click stands for both points. See `planning.plan` for the
-    others.
+    are found in the images; of each hole that is planned the click stands for both points. `bone`: registered in these
+    images. See `planning.plan` for the others.
     """
 
     entry_uv_px: np.ndarray
@@ -71,6 +72,7 @@ class PlanRequest:
     placed: Mapping[str, Axis] | None = None
     nail: NailDrawn | None = None
     method: Method = "weighted"
+    bone: RegisteredBone | None = None
 
     @staticmethod
     def of(document: dict[str, Any]) -> "PlanRequest":
@@ -85,6 +87,8 @@ class PlanRequest:
                 fields[name] = {key: read(written) for key, written in fields[name].items()}
         if fields.get("nail") is not None:
             fields["nail"] = NailDrawn.of(fields["nail"])
+        if fields.get("bone") is not None:
+            fields["bone"] = RegisteredBone.of(fields["bone"])
         request = PlanRequest(**fields)
         if "side" not in document:
             return replace(request, kind=None, landmark_names=())
@@ -94,6 +98,7 @@ class PlanRequest:
         """Make the plan on the calibrated images, PA first. Raises what `plan_wires` and `planning.plan` raise."""
         if self.nail is not None:
             return self.plan_wires(views).plans[self.known_kind.wire.key]
+        _refuse_other_images(self.bone, views)
         return self.plan_on([image.view for image in views])
 
     def plan_wires(self, images: Sequence[CalibratedImage]) -> WirePlans:
@@ -101,6 +106,7 @@ class PlanRequest:
 
         Raises what `plan_holes` and `planning.plan_wires` raise.
         """
+        _refuse_other_images(self.bone, images)
         views = [image.view for image in images]
         if self.nail is None:
             return self.plan_wires_on(views)
@@ -181,12 +187,23 @@ class PlanRequest:
             "aids": self.aids,
             "method": self.method,
             "curve": curve,
+            "bone": self.bone,
         }
 
     @property
     def known_kind(self) -> Procedure:
         """The procedure with the limits in force. Raises UnusableInputError for an unknown one."""
         return kept(self.kind or "free-wire", self.procedure).with_limits(self.limits)
+
+
+def _refuse_other_images(bone: RegisteredBone | None, images: Sequence[CalibratedImage]) -> None:
+    """Raise UnusableInputError unless the bone was registered in these images."""
+    if bone is None:
+        return
+    shown = {image.name: image.seen.image for image in images}
+    if None in shown.values():
+        raise UnusableInputError("a table of beads shows no bone; give the images in which the bone was registered")
+    bone.refuse_other_images({name: image.pixels_sha256 for name, image in shown.items() if image is not None})
 
 
 def _placed(document: dict[str, Any]) -> Axis:
@@ -311,7 +328,7 @@ def acquired(original: str, image: Radiograph | None) -> dict[str, Any]:
         "image_shape": image.shape,
         "dtype": image.pixels.dtype.name,
         "white": image.white,
-        "pixels_sha256": digest(np.ascontiguousarray(image.pixels).tobytes()),
+        "pixels_sha256": image.pixels_sha256,
         "tags": image.tags,
     }
 

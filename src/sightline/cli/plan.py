@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from math import isfinite
 from pathlib import Path
@@ -428,6 +428,18 @@ class PlanningImages:
         return entries, image_numbers(case, entries, self.names)
 
 
+RegisteredBoneFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--bone",
+        metavar="FILE",
+        help="bone-pose.json of `register-bone` in these images: its checks, such as a movement between the images, "
+        "enter the verdict.",
+        show_default=False,
+    ),
+]
+
+
 def both_or_none(pa: Path | None, lateral: Path | None) -> tuple[Path, ...] | None:
     """Return the files of both views; None where neither is given. Raises BadParameter where one is missing."""
     if pa is not None and lateral is not None:
@@ -483,6 +495,7 @@ def plan(
     images: PlanImages,
     wires: Wires,
     distances: Distances,
+    bone: RegisteredBoneFile = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for report, plan.json, picks.json and undistorted images.")
     ] = None,
@@ -496,9 +509,12 @@ def plan(
         picks, points, procedure = wires.read()
         from sightline.case.journal import Actor, Case
         from sightline.case.picks import ask_plan, wires_of
+        from sightline.case.saved import load
         from sightline.case.stages import record_plans
         from sightline.case.views import calibrate_images
+        from sightline.planning.bone.registered import RegisteredBone
 
+        registered = None if bone is None else load(bone, RegisteredBone)
         taken = images.taken(output, stack, picks)
         output.say(f"procedure: {procedure}" + ("" if wires.procedure else " (assumed; --procedure names another)"))
         with output.step(f"calibrating the views ({images.method})"):
@@ -508,13 +524,14 @@ def plan(
             if points:
                 picks = _with_wire(picks, wires_of(procedure)[0], points, [image.view for image in calibrated])
             asked = ask_plan(picks, calibrated, procedure, wires.side, propose=wires.propose)
-            together = asked.request.others is not None
-            planned = asked.request.plan_wires(calibrated) if together else asked.request.plan(calibrated)
+            request = replace(asked.request, bone=registered)
+            together = request.others is not None
+            planned = request.plan_wires(calibrated) if together else request.plan(calibrated)
         document = {**planned_document(planned, calibrated, taken.frame), **asked.unfitted}
         if images.case is not None:
             case = taken.case or stack.enter_context(Case.create(images.case, exist_ok=True))  # now that it has a plan
             entries, numbers = taken.record(case, calibrated)
-            recorded = record_plans(case, entries, asked.request, planned, by=Actor.COMMAND)
+            recorded = record_plans(case, entries, request, planned, by=Actor.COMMAND)
             document["case"] = {"number": case.number, **recorded, "images": numbers}
         if out is not None:
             with output.step("writing the report"):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,11 @@ class Radiograph(Plotted):
     def shape(self) -> tuple[int, int]:
         """Height and width in pixels."""
         return self.pixels.shape[0], self.pixels.shape[1]
+
+    @property
+    def pixels_sha256(self) -> str:
+        """SHA-256 of the pixels, in hexadecimal."""
+        return sha256(np.ascontiguousarray(self.pixels)).hexdigest()
 
     def summary(self) -> str:
         """Return size, type and range of the pixels, and the geometry that the file states."""

@@ -17,6 +17,7 @@ from sightline.common.threads import one_blas_thread
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.bone.aids import Aids
 from sightline.planning.bone.anatomy import Anatomy, Drawings, located
+from sightline.planning.bone.registered import RegisteredBone
 from sightline.planning.check.shot import PlannedWire
 from sightline.planning.nail.result import Hole, perfect_circles
 from sightline.planning.points.curve import MAX_SNAP_PX, MatchingCurve, matching_curve, snap
@@ -47,7 +48,7 @@ DRAWN_POINTS = 21  # [ours] along the wire, about 5 mm apart: it bends with the 
 # Of two images; with a third the check "movement" says which movements it does not show.
 _PAIR = (
     "No two images show a movement of the bone in the plane of both beams: take a third, oblique image, which "
-    "shows it. It needs a block, since plates are seen in two views only."
+    "shows it. It needs a block, since plates are seen in two views only. Or register the bone's CT in both images."
 )
 
 
@@ -149,7 +150,8 @@ class Plan(Plotted):
     def sentences(self) -> list[str]:
         """Return what else a reader must know besides `unnoticed`: movements that no check shows, checks that were left
         out, other wires, and the implant that fits."""
-        fits, pair = self.implant, [_PAIR] if len(self.views) == 2 else []
+        fits = self.implant
+        pair = [_PAIR] if len(self.views) == 2 and self.arguments["bone"] is None else []
         axes = [assumed_axes(self.kind, self.views)]
         if self.anatomy is not None:
             rules, marks = rules_of_bone(self.kind, self.views), _landmarks_mm(self.landmark_names, self.seen)
@@ -274,6 +276,7 @@ class SharedInputs(TypedDict, total=False):
     landmark_names: Sequence[str]
     aids: Aids | None
     method: Method
+    bone: RegisteredBone | None
     curve: Callable[..., MatchingCurve]
 
 
@@ -283,7 +286,8 @@ class PlanInputs:
 
     `pick_sd_px`: standard deviation of a pick, per axis. `landmarks_uv_px` (V, L, 2): points of the bone picked freely
     in all views, or NaN, which show whether it moved between them; they change neither entry nor end.
-    `landmark_names`: their keys in the procedure, "" for none. `aids`: what is drawn of the bone. `curve`:
+    `landmark_names`: their keys in the procedure, "" for none. `aids`: what is drawn of the bone. `bone`: a CT
+    or mesh that was registered in the same images (`register_bone`); its checks enter the verdict. `curve`:
     `matching_curve`, or a replacement that caches its curves.
     """
 
@@ -292,6 +296,7 @@ class PlanInputs:
     landmark_names: Sequence[str] = ()
     aids: Aids | None = None
     method: Method = "weighted"
+    bone: RegisteredBone | None = None
     curve: Callable[..., MatchingCurve] = matching_curve
 
 
@@ -328,7 +333,7 @@ def plan(
     """
     inputs, kind = PlanInputs(**shared), kind_of(procedure) if isinstance(procedure, str) else procedure
     each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)
-    at_rest = adjusted_together(views)
+    at_rest = _at_rest(views, inputs.bone)
     free = _landmarks(len(views), inputs)
     clicks = _Clicks(at_rest, (entry_uv_px, end_uv_px), each, free, inputs)
     (entry, entry_curve), (end, end_curve) = clicks.points()
@@ -407,14 +412,17 @@ def _arguments(
         "side": side,
         "aids": inputs.aids,
         "method": inputs.method,
+        "bone": inputs.bone,
     }
 
 
 def _judged(made: Plan, views: Sequence[CalibratedView]) -> Verdict:
     """Return the verdict on a plan made on `views`, as they were adjusted together."""
-    kind, names, anatomy = made.kind, made.landmark_names, made.anatomy
+    kind, names, anatomy, bone = made.kind, made.landmark_names, made.anatomy, made.arguments["bone"]
     called = {landmark.key: landmark.name for landmark in kind.landmarks}
     verdict = judge(made.trajectory, views, kind.limits, made.seen, [called.get(name, "") for name in names])
+    if bone is not None:
+        verdict = verdict.joined(Verdict(bone.checks_beside(verdict.checks)))
     if made.hole is not None:
         verdict = verdict.joined(Verdict(made.hole.checks))
     if kind.checks and anatomy is not None:
@@ -422,6 +430,13 @@ def _judged(made: Plan, views: Sequence[CalibratedView]) -> Verdict:
         verdict = verdict.joined(judge_in_bone(anatomy, rules, made.side, _landmarks_mm(names, made.seen)))
         verdict = verdict.joined(Located(kind, views, anatomy, names, made.side).judge())
     return verdict
+
+
+def _at_rest(views: Sequence[CalibratedView], bone: RegisteredBone | None) -> Sequence[CalibratedView]:
+    """Return the views adjusted together. Raises UnusableInputError for a bone that was registered to others."""
+    if bone is not None:
+        bone.refuse_other_views(views)
+    return adjusted_together(views)
 
 
 def _landmarks_mm(names: tuple[str, ...], seen: SpacePoints) -> dict[str, np.ndarray]:

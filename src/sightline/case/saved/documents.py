@@ -16,10 +16,12 @@ from sightline.case.contents import PlanRequest
 from sightline.case.interop.plan_file import bundle
 from sightline.case.views import CalibratedImage, ObservedView, view_document
 from sightline.common.checks import Check
+from sightline.common.geometry.rigid import why_not_rigid
 from sightline.detection import Detections, Observations, RejectedCandidate
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, SpacePoints, Trajectory
+from sightline.planning.bone.registered import RegisteredBone
 from sightline.planning.check.result import CheckShot
 from sightline.planning.points.gaps import Movement
 from sightline.planning.procedures.procedure import keeping
@@ -239,6 +241,14 @@ def plan(given: dict[str, Any]) -> Plan:
             f"where the file says {given['verdict']}; plan again"
         )
     return made
+
+
+def registered_bone(given: dict[str, Any]) -> RegisteredBone:
+    """Return the registered bone of a document. Raises UnusableInputError."""
+    bone = RegisteredBone.of(given)
+    if why := why_not_rigid(bone.matrix):
+        raise UnusableInputError(f"its pose is not rigid: {why}; register the bone again")
+    return bone
 
 
 def shot_written(shot: CheckShot) -> dict[str, Any]:

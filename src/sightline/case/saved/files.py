@@ -20,6 +20,7 @@ from sightline.detection import Detections, Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, SpacePoints, Trajectory
+from sightline.planning.bone.registered import RegisteredBone
 from sightline.planning.check.result import CheckShot
 
 _MAX_DEPTH = 12
@@ -48,6 +49,9 @@ _FORMS = {
         Trajectory, models.SavedTrajectory, documents.trajectory_written, documents.trajectory
     ),
     "sightline-plan/1": _Form(Plan, models.SavedPlan, documents.plan_written, documents.plan),
+    "sightline-bone-pose/1": _Form(
+        RegisteredBone, models.SavedBonePose, RegisteredBone.document, documents.registered_bone
+    ),
     "sightline-check-shot/1": _Form(CheckShot, models.SavedCheckShot, documents.shot_written, documents.shot),
 }
 
@@ -64,8 +68,8 @@ def document(result: Any, **more: Any) -> dict[str, Any]:
 def save(result: Any, path: str | Path) -> Path:
     """Write a result as JSON, whole or not at all, and return its path.
 
-    `result`: Detections, Observations, a view, SpacePoints, a Trajectory, a Plan, a CheckShot or a Frame (whose file is
-    that of docs/frame-file.md). The image that a result was found in is not saved.
+    `result`: Detections, Observations, a view, SpacePoints, a Trajectory, a Plan, a BonePose, a CheckShot or a Frame
+    (whose file is that of docs/frame-file.md). The image that a result was found in is not saved.
     Raises UnusableInputError for other objects, and for a view that was not made by `calibrate` or `view_from_matrix`.
 
     >>> pa, lateral = sl.load("out/demo/views.json")

@@ -17,6 +17,7 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 Pixel = tuple[Number, Number]
 Point = tuple[Number, Number, Number]
 Covariance = tuple[Pixel, Pixel]
+_Six = tuple[Number, Number, Number, Number, Number, Number]
 Shape = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
 Digest = Annotated[str, Field(description="SHA-256 of the canonical JSON of all other keys.")]
 
@@ -156,6 +157,26 @@ class SavedPlan(PlanDocument, _Saved):
     schema_: Annotated[Literal["sightline-plan/1"], Field(alias="schema")]
     views: Annotated[tuple[dict[str, Any], ...], Field(min_length=2)]
     asked: dict[str, Any]
+
+
+class BoneViewDocument(BaseModel):
+    """A view that a bone was registered to."""
+
+    view: str
+    focal_point_mm: Point
+    pixels_sha256: str
+
+
+class SavedBonePose(_Saved):
+    """Where a bone lies in calibrated images, as `RegisteredBone`: bone-pose.json of `sightline register-bone`."""
+
+    schema_: Annotated[Literal["sightline-bone-pose/1"], Field(alias="schema")]
+    matrix: Annotated[tuple[tuple[Number, Number, Number, Number], ...], Field(min_length=4, max_length=4)]
+    centre_mm: Point
+    covariance: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None
+    checks: Annotated[tuple[CheckDocument, ...], Field(min_length=1, max_length=200)]
+    views: Annotated[tuple[BoneViewDocument, ...], Field(min_length=2)]
+    volume_sha256: str
 
 
 class SavedCheckShot(_Saved):

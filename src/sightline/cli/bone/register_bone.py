@@ -211,6 +211,7 @@ def register_bone(
     The CT holds one bone, as it is now. Exit code 3 where a check failed; the files are written all the same.
     """
     from sightline import register_bone as registered
+    from sightline.case.saved import document as saved_document
 
     with output.step("reading"):
         shown = shots.read(output)
@@ -223,9 +224,8 @@ def register_bone(
     placed = None if line is None else wire.placed(line, found)
     if placed is not None:
         _say(output, placed)
-    identity = _identity(shown)
-    document = {**found.document(), "volume": digest_of(volume.what), "views": identity["views"]}
-    plan = {} if placed is None else {**placed.document(), **identity}
+    document = saved_document(found)
+    plan = {} if placed is None else {**placed.document(), **_identity(shown)}
     if out is not None:
         output.written(_write(out, placed or found, document, plan))
     if plan:
@@ -268,11 +268,8 @@ def _write(folder: Path, drawn: "BonePose | CtWire", document: dict[str, Any], p
 
 
 def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the digests of a folder's files in the order of their names."""
-    from hashlib import file_digest, sha256
+    """Return the SHA-256 of a file."""
+    from hashlib import file_digest
 
-    if path.is_dir():
-        own = [digest_of(file) for file in sorted(path.iterdir()) if file.is_file()]
-        return f"sha256:{sha256(' '.join(own).encode()).hexdigest()}"
     with path.open("rb") as stream:
         return f"sha256:{file_digest(stream, 'sha256').hexdigest()}"

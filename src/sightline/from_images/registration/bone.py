@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from hashlib import sha256
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -31,6 +32,15 @@ class ScannedBone:
         scan = _cropped(scan)
         share = np.where(scan.hu > BONE_HU, shares_of_hu(scan.hu)[1], np.float32(0.0))
         return ScannedBone(Volume(share * _EXCESS_PER_MM, scan.origin_mm, scan.voxel_mm, scan.axes))
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of which voxels hold bone, and of where they lie, to 1e-3 mm: the same on every machine."""
+        volume = self.volume
+        grid = np.concatenate([volume.origin_mm, volume.voxel_mm, volume.axes.ravel()]).round(3) + 0.0
+        return sha256(
+            repr((volume.values.shape, grid.tolist())).encode() + np.packbits(volume.values > 0).tobytes()
+        ).hexdigest()
 
     @cached_property
     def centre_mm(self) -> np.ndarray:

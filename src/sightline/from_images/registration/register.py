@@ -17,6 +17,7 @@ from sightline.imaging import Radiograph
 from sightline.imaging.volumes import CtScan, filled, read_ct, read_mesh
 from sightline.imaging.volumes.filled import CORTEX_MM
 from sightline.imaging.volumes.meshes import FILE_TYPES
+from sightline.planning.bone.registered import BoneView
 
 
 def read_volume(path: str | Path, cortex_mm: float | None = None) -> CtScan:
@@ -59,11 +60,13 @@ def register_bone(
     between = apart(shots, bone, best)
     own = checks(shots, bone, fits, between, error_known=calibration is not None)
     return BonePose(
-        pose=best.pose,
+        matrix=best.pose.as_matrix(),
         centre_mm=centre,
         covariance=None if calibration is None else shown + calibration,
         apart=between,
         checks=(*(check.of_view(view.name) for view in views for check in view.checks), *own),
+        views=tuple(BoneView(s.view.name, s.view.focal_point_mm, s.image.pixels_sha256) for s in shots),
+        volume_sha256=bone.sha256,
         bone=bone,
         shots=tuple(shots),
         loss=best.loss,
