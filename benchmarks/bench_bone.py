@@ -14,12 +14,23 @@ import numpy as np
 from scipy.stats import chi2
 
 from benchmarks import gvxr
-from benchmarks.bone_trials import REACH, Record, fault_trial, right_trial, start_off
-from benchmarks.harness import Rows, finished, time_ms, trials
+from benchmarks.bone_trials import (
+    REACH,
+    SIZES,
+    WAYS,
+    Record,
+    fault_trial,
+    hidden_trial,
+    noticed_trial,
+    right_trial,
+    start_off,
+)
+from benchmarks.harness import Refusal, Rows, finished, time_ms, trials
 from benchmarks.scenes.bones import FIRST_SEED, draw_bone_scene
 from sightline.from_images.registration import ScannedBone, register_bone
 
-TRIALS, FAULT_TRIALS, QUICK = 300, 120, 6
+TRIALS, FAULT_TRIALS, QUICK = 300, 120, 4
+MOVED_SCENES, NOTICED, MAX_HIDDEN = 20, 0.95, 1.0
 # Mean error over the targets of a pose that counts as found, and of one that counts as wrong [ours].
 FOUND_MM, WRONG_MM = 1.0, 2.0
 COVERAGE, MIN_COVERED = {0.95: 0.03}, 50
@@ -28,6 +39,7 @@ INSIDE, CALLS = chi2.isf(1e-3, 3), 3
 MIN_FOUND = {
     "own": ("start within 10 mm, 10°", 98.0),
     "wide": ("start within 20 mm, 20°", 80.0),
+    "clicks": ("two points clicked", 99.0),
     "none": ("no start", 90.0),
     "none exact": ("no start, exact views", 90.0),
 }
@@ -57,6 +69,7 @@ def run(quick: bool) -> Rows:
     for add in (right_rows, refusal_rows, coverage_rows):
         add(rows, scenes)
     fault_rows(rows, FAULT_TRIALS // 20 if quick else FAULT_TRIALS)
+    movement_rows(rows, 1 if quick else MOVED_SCENES, 3 if quick else FAULT_TRIALS)
     time_rows(rows)
     return rows
 
@@ -106,6 +119,8 @@ def coverage_rows(rows: Rows, scenes: Sequence[dict[str, Record]]) -> None:
     """Add how often the stated errors of trusted poses hold, over all scenes and by stratum."""
     covered(rows, "exact views", of_way(scenes, "exact", trusted=True))
     covered(rows, "views from their beads", of_way(scenes, "own", trusted=True))
+    wires = [end for each in of_way(scenes, "own") if each.get("go") for end in each["wire2"]]
+    rows.covers("wires planned on the CT that are GO: entry and end", wires, COVERAGE, MIN_COVERED)
     for stratum in ("anatomy", "chain", "overlap", "metal"):
         for value in sorted({scene["strata"][stratum] for scene in scenes}):
             own = [scene for scene in scenes if scene["strata"][stratum] == value]
@@ -132,6 +147,24 @@ def fault_rows(rows: Rows, count: int) -> None:
         "%",
         least=MIN_FAULTS,
     )
+
+
+def movement_rows(rows: Rows, scenes: int, count: int) -> None:
+    """Add the smallest movements between the images that are noticed, and how many that are not make a pose wrong."""
+    cases = [(k, way) for k in range(scenes) for way in range(2 * len(WAYS))]
+    smallest = dict(zip(cases, trials(noticed_trial, cases), strict=True))
+    for way, told in enumerate([f"{what}: {w}" for what in ("shift along, mm", "rotation about, °") for w in WAYS]):
+        sizes = [size for case, size in smallest.items() if case[1] == way and not isinstance(size, Refusal)]
+        size = np.quantile(sizes or [np.nan], NOTICED, method="higher")
+        text = f"{size:g}" if size < np.inf else f"above {SIZES[-1]:g}"
+        rows.add(f"smallest movement noticed in {100 * NOTICED:.0f} % of scenes ({len(sizes)}), {told}", text)
+    records, _ = finished(trials(hidden_trial, range(count)))
+    wrong = [each["trusted"] and not (each["targets2"] < INSIDE).all() for each in records]
+    for movement in dict.fromkeys(each["movement"] for each in records):
+        own = [bad for bad, each in zip(wrong, records, strict=True) if each["movement"] == movement]
+        rows.add(f"moved by {movement}: trusted and outside the stated 99.9 %", f"{sum(own)} of {len(own)}")
+    name = f"all these movements ({len(wrong)}): trusted and outside the stated 99.9 %"
+    rows.number(name, 100 * np.mean(wrong), ".1f", "%", most=MAX_HIDDEN)
 
 
 def time_rows(rows: Rows) -> None:

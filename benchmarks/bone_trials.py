@@ -1,7 +1,9 @@
 """Trials of registration for `bench_bone`: scenes of bones, each registered in several ways, and bones with a fault."""
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -10,14 +12,27 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from benchmarks.harness import mahalanobis2
 from benchmarks.scenes.bones import FAULTS, FIRST_SEED, BoneScene, draw_bone_scene
 from sightline.calibration import CalibratedView, view_from_matrix
+from sightline.common.geometry.lines import across, unit
 from sightline.errors import SightlineError
+from sightline.from_images.ct_wire import ct_wire
 from sightline.from_images.registration import BoneStart, ScannedBone, register_bone
+from sightline.from_images.registration.align import moved
+from sightline.from_images.registration.clicks import start_of_clicks
 from sightline.imaging import Radiograph
 from sightline.imaging.volumes import CtScan
+from sightline.planning import kind
 
-FAULT_SEED = FIRST_SEED + 5000
+FAULT_SEED, MOVED_SEED = FIRST_SEED + 5000, FIRST_SEED + 6000
 REACH = {"near": 10.0, "wide": 20.0}  # of a start: mm and degrees along each axis
 MOVED_MM = 4.0  # of the bone between the two images
+CLICK_PX, CLICK_MM = 1.0, 2.0  # s.d. of a person's click: from a pixel to so far at the bone [ours]
+# Of movements between the images: the axes of `beam_axes` along and about which they go, and their sizes, mm and °.
+WAYS = ("last beam", "first beam, across the last", "across both beams")
+SIZES = (0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
+# Movements that matter and that images hardly show: mm along, and ° about, an axis at random across the last beam; mm
+# along the last beam.
+HIDDEN = {"1 mm across the last beam": (0.0, 1.0, 0.0), "0.5° about an axis across the last beam": (0.5, 0.0, 0.0),
+          "3 mm along the last beam": (0.0, 0.0, 3.0)}  # fmt: skip
 HEAD_FIELD_MM = 35.0  # radius of the field around the head, which has 23 mm [ours]
 Record = dict[str, Any]
 
@@ -27,7 +42,7 @@ def right_trial(k: int) -> dict[str, Record]:
     scene, rng = draw_bone_scene(FIRST_SEED + k), np.random.default_rng([FIRST_SEED, k])
     bone, images, views = ScannedBone.of_ct(scene.ct), list(scene.images.values()), scene.views()
     near, wide = (start_off(scene, bone, rng, reach) for reach in REACH.values())
-    ways = {
+    ways: dict[str, Any] = {
         "own": (bone, images, views, near),
         "wide": (bone, images, views, wide),
         "none": (bone, images, views, None),
@@ -39,6 +54,7 @@ def right_trial(k: int) -> dict[str, Record]:
         if scene.strata["anatomy"] == "femur":
             ways["head"] = bone, head_alone(scene), exact, near
     ways["one view"] = bone, images[:1], views[:1], near
+    ways["clicks"] = bone, images, views, partial(clicked, scene, views, rng)
     return {"strata": scene.strata} | {way: registered(scene, *given) for way, given in ways.items()}
 
 
@@ -48,6 +64,19 @@ def start_off(scene: BoneScene, bone: ScannedBone, rng: np.random.Generator, rea
     turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-reach, reach, 3)))
     off = RigidTransform.from_components(centre + shift - turn.apply(centre), turn)
     return BoneStart(off * scene.pose, reach, np.deg2rad(reach))
+
+
+def clicked(scene: BoneScene, views: Sequence[CalibratedView], rng: np.random.Generator) -> BoneStart:
+    """Return the start of two anatomical points that a person clicked in both images."""
+    points, clicks = dict(zip("ab", scene.bone_points_mm, strict=True)), {"a": {}, "b": {}}
+    share = rng.uniform()
+    for name, view in scene.true_views.items():
+        at = scene.pose.apply(scene.bone_points_mm)
+        exact, beside = view.project(at), view.project(at + CLICK_MM * view.detector.axes[0])
+        largest = np.linalg.norm(beside - exact, axis=1).mean()
+        noisy = exact + (CLICK_PX + share * (largest - CLICK_PX)) * rng.standard_normal((2, 2))
+        clicks["a"][name], clicks["b"][name] = noisy
+    return start_of_clicks(points, clicks, views)
 
 
 def halved(ct: CtScan) -> CtScan:
@@ -75,23 +104,27 @@ def registered(
     bone: ScannedBone,
     images: Sequence[Radiograph],
     views: Sequence[CalibratedView],
-    start: BoneStart | None,
+    start: BoneStart | Callable[[], BoneStart] | None,
 ) -> Record:
     """Return errors of a pose: `error_mm` mean of the targets, `turn_deg`, squared lengths over the stated error of the
     pose and of the targets; whether it is trusted, and the failed checks. "said": why there is none."""
     try:
-        found = register_bone(bone, images, views, start)
+        found = register_bone(bone, images, views, start() if callable(start) else start)
     except SightlineError as refusal:
         return {"said": str(refusal), "error_mm": np.inf, "trusted": False}
     off = scene.pose.apply(scene.targets_mm) - found.at(scene.targets_mm)
     change = scene.pose * found.pose.inv()
     step = np.concatenate([change.rotation.as_rotvec(), change.apply(found.centre_mm) - found.centre_mm])
     by_target = np.array([found.covariance_at(target[None]) for target in scene.targets_mm])
+    wire = ct_wire(found, scene.bone_points_mm, kind("free-wire"))
+    ends = wire.trajectory.points
     return {
         "error_mm": float(np.linalg.norm(off, axis=1).mean()),
         "turn_deg": float(np.rad2deg(change.rotation.magnitude())),
         "pose2": float(mahalanobis2(step, found.covariance)),
         "targets2": mahalanobis2(off, by_target),
+        "go": wire.verdict.go,
+        "wire2": mahalanobis2(ends.xyz_mm - scene.pose.apply(scene.bone_points_mm), ends.covariance_mm2),
         "trusted": found.trusted,
         "failed": [check.name for check in found.checks if not check.passed],
     }
@@ -103,13 +136,62 @@ def fault_trial(k: int) -> Record:
     scene = draw_bone_scene(FAULT_SEED + k, chain="panel", fault=None if fault == "moved" else fault)
     rng, bone, views = np.random.default_rng([FAULT_SEED, k]), ScannedBone.of_ct(scene.ct), scene.exact_views()
     if fault == "moved":
-        views[1] = seen_moved(views[1], rng)
+        way = rng.standard_normal(3)
+        views[1] = seen_moved(views[1], RigidTransform.from_translation(MOVED_MM * unit(way)))
     start = start_off(scene, bone, rng, REACH["near"])
     return {"fault": fault, **registered(scene, bone, list(scene.images.values()), views, start)}
 
 
-def seen_moved(view: Any, rng: np.random.Generator) -> CalibratedView:
-    """Return the view of a matrix by which the bone has moved by MOVED_MM."""
-    matrix, way = view.matrix.copy(), rng.standard_normal(3)
-    matrix[:, 3] -= matrix[:, :3] @ (MOVED_MM * way / np.linalg.norm(way))
-    return view_from_matrix(matrix, view.covariance, view.name)
+def noticed_trial(case: tuple[int, int]) -> float:
+    """Return the smallest of SIZES, mm or °, by which a bone was noticed to move between the images, inf for none.
+
+    `case`: scene, and which of six movements: along WAYS, then about them. Larger ones are taken to be noticed too.
+    """
+    k, way = case
+    scene, bone, start = movable(k)
+    axis = np.random.default_rng([MOVED_SEED, *case]).choice([-1.0, 1.0]) * beam_axes(scene)[way % 3]
+    step = np.append(np.zeros(3), axis) if way < len(WAYS) else np.append(np.deg2rad(axis), np.zeros(3))
+    found = bisect_left(SIZES, True, key=lambda size: not moved_trial(scene, bone, size * step, start)["trusted"])
+    return (*SIZES, np.inf)[found]
+
+
+def hidden_trial(k: int) -> Record:
+    """Return what a bone that moved by one of HIDDEN between the images gave; by turns each."""
+    name = list(HIDDEN)[k % len(HIDDEN)]
+    scene, bone, start = movable(k)
+    along, *beside = beam_axes(scene)
+    angle = np.random.default_rng([MOVED_SEED, k]).uniform(0, 2 * np.pi)
+    aside = np.array([np.cos(angle), np.sin(angle)]) @ beside
+    turn_deg, aside_mm, along_mm = HIDDEN[name]
+    step = np.concatenate([np.deg2rad(turn_deg) * aside, aside_mm * aside + along_mm * along])
+    return {"movement": name, **moved_trial(scene, bone, step, start)}
+
+
+@lru_cache(maxsize=1)  # movements of one scene come one after another
+def movable(k: int) -> tuple[BoneScene, ScannedBone, BoneStart]:
+    """Return a scene without a fault, its bone, and a start."""
+    scene = draw_bone_scene(MOVED_SEED + k, chain="panel")
+    bone = ScannedBone.of_ct(scene.ct)
+    return scene, bone, start_off(scene, bone, np.random.default_rng([MOVED_SEED, k, 1]), REACH["near"])
+
+
+def seen_moved(view: Any, motion: RigidTransform) -> CalibratedView:
+    """Return the view of a matrix, of whose image the bone moved by `motion` since the others."""
+    return view_from_matrix(view.matrix @ motion.inv().as_matrix(), view.covariance, view.name)
+
+
+def beam_axes(scene: BoneScene) -> np.ndarray:
+    """Return unit vectors (3, 3), CFCS: the last beam at the bone, the first one's part across it, their normal."""
+    first, last = (scene.pose.apply(scene.targets_mm[0]) - v.focal_point_mm for v in scene.true_views.values())
+    along, beside = unit(last), unit(across(first, unit(last)))
+    return np.array([along, beside, np.cross(along, beside)])
+
+
+def moved_trial(scene: BoneScene, bone: ScannedBone, step: np.ndarray, start: BoneStart) -> Record:
+    """Return what exact views gave of a bone that moved by `step` (6,), as of `moved`, before the last image; errors
+    are those of where it then lies."""
+    motion = moved(RigidTransform.identity(), step, scene.pose.apply(bone.centre_mm))
+    first, last = scene.exact_views()
+    views = [first, seen_moved(last, motion)]
+    after = replace(scene, pose=motion * scene.pose)
+    return registered(after, bone, list(scene.images.values()), views, start)
