@@ -1,6 +1,7 @@
 """Write the pictures of the app in the pages, docs/pictures/app-NAME.jpg, from the screenshots that its tests keep.
 
-`pytest -m "slow or not slow" tests/app/test_page.py tests/app/test_nail_walk.py`, then `python tools/draw_app.py`.
+`pytest -m "slow or not slow" tests/app/test_page.py tests/app/test_nail_walk.py tests/app/test_bone_walk.py`, then
+`python tools/draw_app.py`.
 """
 
 from pathlib import Path
@@ -12,6 +13,7 @@ NAMES = {
     "plan": "planned",
     "verify": "verified",
     "nail": "nail-walk-planned",
+    "bone": "bone-found",
 }  # of the pages' pictures and of screenshots
 QUALITY = 88  # text stays sharp below 200 kB [ours]
 

@@ -90,7 +90,7 @@ def test_two_images_of_a_block_are_planned_on_and_a_third_shows_a_movement(
         assert await planning.take(files[OBLIQUE], ".dcm", image=OBLIQUE) == OBLIQUE
         assert planning.names == (*NAMES, OBLIQUE)
         assert _movement(session).figure is None  # a new image has no marks: not tested
-        goal = Placing(planning, session.shots).goal(ProcedureStep.PLAN)
+        goal = Placing(session).goal(ProcedureStep.PLAN)
         assert goal is not None and (goal.image, goal.spec.name) == (OBLIQUE, LANDMARKS[0])
         crosses = {one["title"].split(":")[0]: one["points"][0] for one in shapes.expected(planning.planned)}
         at = three.views[OBLIQUE].project(three.hip_mm + shift)[0]

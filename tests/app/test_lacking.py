@@ -51,7 +51,7 @@ def test_a_patient_lacks_the_bones_of_other_procedures(procedure: str) -> None:
 def test_the_step_plan_says_so_before_it_asks_for_a_point(session: Session, key: str) -> None:
     planning, document = session.planning, PROCEDURES[key].document.key
     planning.edit(planning.decisions.with_kind(key))
-    goal = Placing(planning, session.shots).goal(ProcedureStep.PLAN)
+    goal = Placing(session).goal(ProcedureStep.PLAN)
     if document in (*AT_HIP, FREE):
         assert not planning.lacking and goal is not None
         return

@@ -28,7 +28,7 @@ from sightline.app.panels import section
 from sightline.app.web.guard import MAX_BODY_BYTES, MAX_SOCKETS, Guard, is_loopback
 from sightline.app.web.serve import MAX_PAGES, MAX_WAITING, Pages
 from sightline.app.web.serve import serve as start
-from sightline.app.web.transfers import MAX_UPLOAD_BYTES, Images, Upload, receive
+from sightline.app.web.transfers import MAX_UPLOAD_BYTES, FileTypes, Images, Upload, receive
 from sightline.errors import ImageError, UnusableInputError
 from sightline.imaging import Radiograph, write_dicom, write_png
 
@@ -360,12 +360,12 @@ def png(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_png(Radiograph(PIXELS, 65535.0), tmp_path_factory.mktemp("images") / "pa.png")
 
 
-def take(*chunks: bytes) -> Upload:
+def take(*chunks: bytes, types: FileTypes | None = None, named: str = "") -> Upload:
     async def stream() -> AsyncIterator[bytes]:
         for chunk in chunks:
             yield chunk
 
-    return asyncio.run(receive(stream()))
+    return asyncio.run(receive(stream(), types, named))
 
 
 def test_an_image_arrives_byte_by_byte(png: Path) -> None:
@@ -385,6 +385,17 @@ def test_the_content_tells_the_kind(tmp_path: Path, png: Path) -> None:
     for data in (b"GIF89a", b"<html>", b"PK\x03\x04", bytes(200), b"MZ" + bytes(200), b"DICM"):
         with pytest.raises(ImageError, match="give DICOM"):
             take(data)
+
+
+def test_another_file_is_known_by_the_end_of_its_name() -> None:
+    types = FileTypes((".nii.gz", ".nii", ".stl"), 2, "crop it")
+    for named, suffix in {"hip.NII.gz": ".nii.gz", "a.stl.nii": ".nii", "evil/../x.stl": ".stl"}.items():
+        assert take(b"abc", b"def", types=types, named=named) == Upload(suffix, b"abcdef")
+    for named in ("", "x.stl.exe", "stl", "hip.nrrd"):
+        with pytest.raises(ImageError, match=r"ends with \.nii\.gz, \.nii, \.stl"):
+            take(b"\x89PNG\r\n\x1a\n" * 20, types=types, named=named)
+    with pytest.raises(ImageError, match="empty"):
+        take(types=types, named="a.stl")
 
 
 def test_what_is_no_image_is_refused_and_not_kept() -> None:

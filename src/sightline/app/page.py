@@ -7,7 +7,7 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import drill, images, plan, shots, top, verdict, verify
+from sightline.app.panels import bone, drill, images, plan, shots, top, verdict, verify
 from sightline.app.panels.drawer import Drawer, Menu, OpenCase
 from sightline.app.panels.section import HtmlSection, Section, action
 from sightline.app.panels.space import Space
@@ -80,6 +80,7 @@ def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, s
     with ui.element("div").classes("step-box"):
         images.build_drop_zone(tab, site, boxes)
         Section(tab, lambda t: t.step, lambda t: _PANELS[t.step](t), classes="step-panel")
+        bone.build(tab, site)
     with ui.element("div").classes("feet"):
         action(texts.DETAILS, drawer.toggle, testid="details", kind="plain small")
         action("3-D", space.toggle, testid="space-toggle", kind="plain small")

@@ -10,6 +10,7 @@ from sightline.app import texts
 from sightline.app.plan.decisions import HEAD
 from sightline.app.plan.marks import by_borders
 from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
+from sightline.app.session.bone import FoundBone
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
 from sightline.app.session.session import Session
@@ -163,6 +164,12 @@ def _around(uv_px: np.ndarray) -> np.ndarray:
     """Return points (N, 2) in their order around a rim, begun after the largest gap between them."""
     gaps = np.linalg.norm(np.roll(uv_px, -1, axis=0) - uv_px, axis=1)
     return np.roll(uv_px, -1 - int(np.argmax(gaps)), axis=0)
+
+
+def bone(found: FoundBone | None, image: str) -> list[Shape]:
+    """Return the edges of the bone's shadow in an image, as its CT or mesh was registered."""
+    lines = () if found is None else found.edges.get(image, ())
+    return [{"shape": "line", "points": line, "style": "edge", "title": "edge of the CT or mesh"} for line in lines]
 
 
 def drilled(planned: Planned, image: str, depth_mm: float) -> list[Shape]:

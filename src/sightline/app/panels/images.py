@@ -6,6 +6,7 @@ from collections.abc import Hashable, Sequence
 from nicegui import ui
 
 from sightline.app import texts
+from sightline.app.panels import bone
 from sightline.app.panels.section import Section, action, checks, heading, note, radio, shown_or_not, table
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
@@ -326,6 +327,7 @@ def build_calibration_details(tab: Tab) -> None:
     shown_or_not(tab, "Show rejected candidates, with the reason", "show_rejected")
     build_oblique(tab)
     Section(tab, _seen_key, _calibration_checks)
+    bone.build_details(tab)
 
 
 def _seen_key(tab: Tab) -> Hashable:

@@ -136,7 +136,8 @@ class Decisions:
     if no image shows the frame unmirrored. `nail`: whose holes are found in the images; None: points are placed.
     `fitted_head`: the head's circles as fitted to edges; None: as drawn. `borders`: axes are drawn by both borders of
     the bone; `fitted_shaft`, `fitted_neck`: those of shaft and neck as fitted to edges, the neck's from the head's
-    centre of that time.
+    centre of that time. `bone`: number of the entry that holds the pose of the bone's CT or mesh, once accepted; it
+    counts while the images are those that it was found in.
     """
 
     images: Mapping[str, int] = field(default_factory=dict)
@@ -154,6 +155,7 @@ class Decisions:
     borders: bool = False
     fitted_shaft: FittedAxis | None = None
     fitted_neck: FittedAxis | None = None
+    bone: int | None = None
 
     @property
     def of_nail(self) -> bool:

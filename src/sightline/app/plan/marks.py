@@ -11,7 +11,7 @@ from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import AidAsked
 
-Group = Literal["wire", "nail", "landmark", "aid", "guide", "robot"]
+Group = Literal["wire", "nail", "landmark", "aid", "guide", "robot", "bone"]
 ENTRY, END = "entry", "end"
 _EDGES = {"a": "One edge of the nail", "b": "Other edge of the nail"}
 _STROKE = {  # the two clicks of a stroke

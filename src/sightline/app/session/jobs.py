@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
+from time import monotonic
 from typing import Any, TypeVar
 
 import numpy as np
@@ -51,12 +52,14 @@ def failure_of(work: Callable[[], object]) -> str:
 
 
 class Jobs:
-    """`working`: the current work that belongs to no single image, empty if none; `trouble`: the error of the last one.
-    `listeners` are called on the event loop whenever something that a page shows has changed."""
+    """`working`: the current work that belongs to no single image, empty if none; `began`: its start, s of the
+    monotonic clock; `trouble`: the error of the last one. `listeners` are called on the event loop whenever something
+    that a page shows has changed."""
 
     def __init__(self) -> None:
         self.listeners: list[Callable[[], None]] = []
         self.working = ""
+        self.began = 0.0
         self.trouble = ""
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -78,7 +81,7 @@ class Jobs:
         """Run work while pages show `what`, and return its result. Pages also show its error. Raises
         UnusableInputError, without starting it, while other work is running."""
         self.refuse_more()
-        self.working, self.trouble = what, ""
+        self.working, self.began, self.trouble = what, monotonic(), ""
         self.notify()
         try:
             return await work()

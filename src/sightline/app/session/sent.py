@@ -58,7 +58,7 @@ class SentPlan:
         """Return True if decisions give the plan that was sent, with the verdict and the depth limit that it was sent
         with, whichever wire is the current one."""
         then = self.planned.decisions
-        same = ("side", "serial")
+        same = ("side", "serial", "bone")
         return (
             self.plan.kind.fingerprint == kind_of(decisions.kind).fingerprint  # its file may have changed since
             and all(getattr(then, name) == getattr(decisions, name) for name in same)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from sightline.app.plan.decisions import Decisions
+from sightline.app.session.bone import BoneStep
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.jobs import Jobs, WorkerProcess
 from sightline.app.session.planning import PICKS, Planning
@@ -37,7 +38,8 @@ class Session:
         self.jobs = Jobs()
         self.planning = Planning(case, frame_ref, worker, self.jobs)
         self.age = PlanAge(self.planning)
-        self.readiness = Readiness(self.planning, self.age)
+        self.bone = BoneStep(self.planning)
+        self.readiness = Readiness(self.planning, self.age, self.bone)
         self.drilling = DrillingWorkflow(self.planning, self.age, self.readiness)
         self.live = Live(self.planning)
         self.verifying = Verifying(self.planning)

@@ -7,8 +7,7 @@ from enum import StrEnum
 
 from sightline.app.plan.decisions import Decisions, Pixel
 from sightline.app.plan.marks import GUIDE, MarkSpec
-from sightline.app.session.planning import Planning
-from sightline.app.session.shots import Shots
+from sightline.app.session.session import Session
 from sightline.case.views import CHECK_NAMES, NAMES, OBLIQUE, SHOT_NAMES
 from sightline.planning.check.shot import ALIGNED
 from sightline.planning.procedures import kind as kind_of
@@ -31,6 +30,9 @@ class ProcedureStep(StrEnum):
         return list(ProcedureStep).index(self) + 1
 
 
+_BY_POINT = ("landmark", "bone")  # groups whose marks are placed point by point, each in all images
+
+
 @dataclass(frozen=True)
 class Goal:
     """A mark to place in an image: reached once it differs from `before`; None: not placed."""
@@ -47,8 +49,8 @@ class Goal:
 class Placing:
     """The goals of one page: those that the person chose, or else those of the step."""
 
-    def __init__(self, planning: Planning, shots: Shots) -> None:
-        self._planning, self._shots = planning, shots
+    def __init__(self, session: Session) -> None:
+        self._planning, self._shots, self._bone = session.planning, session.shots, session.bone
         self._chosen: tuple[Goal, ...] | None = None  # None: the goals of the step
         self.skipped: tuple[MarkSpec, ...] = ()
 
@@ -106,6 +108,8 @@ class Placing:
         if step is ProcedureStep.DRILL and self._shots.shown and planning.views(SHOT_NAMES) is not None:
             guide = GUIDE if self._shots.shown == ALIGNED else ()
             return _goals([*guide, *planning.landmarks], SHOT_NAMES)
+        if step is ProcedureStep.CALIBRATE and planning.views() is not None:
+            return _goals(self._bone.asked, NAMES)
         if step is ProcedureStep.PLAN and planning.planned is not None and not planning.lacking:
             pair = _goals(self._asked, NAMES)
             third = [spec for spec in self._asked if spec.group == "landmark" and OBLIQUE in planning.names]
@@ -125,7 +129,7 @@ def _goals(listed: Iterable[MarkSpec], images: tuple[str, ...]) -> tuple[Goal, .
     """Return the goals in order: wire and aids image by image, first PA, then lateral; then each landmark in all; last
     the robot's own wire, which no verdict needs."""
     listed = tuple(listed)
-    each = [Goal(a, image) for image in images for a in listed if a.group != "landmark" and a.shown_in(image)]
-    landmarks = [Goal(a, image) for a in listed if a.group == "landmark" for image in images]
+    each = [Goal(a, image) for image in images for a in listed if a.group not in _BY_POINT and a.shown_in(image)]
+    landmarks = [Goal(a, image) for a in listed if a.group in _BY_POINT for image in images]
     last = [goal for goal in each if goal.spec.group == "robot"]
     return (*(goal for goal in each if goal not in last), *landmarks, *last)

@@ -86,7 +86,7 @@ class Tab:
         self.fast_robot, self.live_source = fast_robot, live_source
         self.views = Views(session, pictures)
         self.dragging = Dragging(self.planning)
-        self._placing = Placing(self.planning, session.shots)
+        self._placing = Placing(session)
         self.step, self.message, self.is_good, self.notices = ProcedureStep.IMAGES, "", False, 0
         self.on_refresh: list[Callable[[], None]] = []
         self.on_drag: list[Callable[[], None]] = []

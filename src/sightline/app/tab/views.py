@@ -108,7 +108,8 @@ def _preview(
     return decisions, known, layers
 
 
-_STYLES = {"guide": "aid", "nail": "aid", "robot": "aid"}  # of points, by the group of their mark, where not that
+# Of points, by the group of their mark, where not that.
+_STYLES = {"guide": "aid", "nail": "aid", "robot": "aid", "bone": "landmark"}
 _FILLED_MM = 0.5  # the drilled wire grows in steps of this, so that images are not redrawn all the time [ours]
 
 
@@ -198,9 +199,13 @@ class Views:
         layers, undrawn = self._layers(image, seen)
         if step is ProcedureStep.DRILL and image in ALL_NAMES:  # a shot shows the wire itself
             layers = {**layers, "drilled": self._filled(image)}
+        if step is ProcedureStep.CALIBRATE:
+            layers = {**layers, "bone": shapes.bone(self._session.bone.shown, image)}
         if preview is not None:
             layers = {**layers, **preview.layers.get(image, {})}
         hidden = {name for name, on in (("beads", self.show_beads), ("rejected", self.show_rejected)) if not on}
+        if step is ProcedureStep.CALIBRATE and self._session.bone.found is not None:
+            hidden.add("beads")  # they hide its edges, which a person judges now
         picture, display = self._pictures.of(seen), planning.decisions.display.get(image, Display())
         window = picture.window if display.window is None else Window(*display.window)
         head = self._head(image, seen.view)
@@ -210,7 +215,7 @@ class Views:
             picture,
             _display(display, head, window),
             {name: drawn for name, drawn in layers.items() if name not in hidden},
-            _points(image, step, planning.specs, planning.decisions if preview is None else preview.decisions),
+            _points(image, step, self._specs(step), planning.decisions if preview is None else preview.decisions),
             goal.spec.name if goal is not None and goal.image == image else None,
             (texts.in_progress(seen.doing) if seen.doing else seen.refused) or undrawn or None,
             f"{planning.case.number} {image} {seen.acquired.number} {planning.history.revision}",
@@ -218,6 +223,11 @@ class Views:
             head,
             self._identity,
         )
+
+    def _specs(self, step: ProcedureStep) -> tuple[MarkSpec, ...]:
+        """Return the marks shown on a step: those of the bone's CT or mesh only where they are placed."""
+        own = self._session.bone.asked if step is ProcedureStep.CALIBRATE else ()
+        return (*self._planning.specs, *own)
 
     def _head(self, image: str, view: BeadView | None) -> int | None:
         """Return `head_in` of an image, computed once: each move of a dragged point refreshes both views."""
@@ -296,16 +306,19 @@ def _display(chosen: Display, head: int | None, window: Window) -> XrayDisplay:
     return XrayDisplay(turned, chosen.mirrored, chosen.inverted, window)
 
 
-def _is_editable(image: str, step: ProcedureStep) -> bool:
-    """Return True if points in an image can be moved on a step: those of the plan only while planning."""
+def _is_editable(image: str, step: ProcedureStep, group: str) -> bool:
+    """Return True if points in an image can be moved on a step: those of the plan, and those of the
+    bone's CT or mesh, only on their own."""
     if image in SHOT_NAMES:
         return True
+    if group == "bone":
+        return step is ProcedureStep.CALIBRATE
     return step is (ProcedureStep.VERIFY if image in CHECK_NAMES else ProcedureStep.PLAN)
 
 
 def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisions: Decisions) -> list[dict[str, Any]]:
     """Return the points of an image, placed or not, as JSON types."""
-    points, movable = [], _is_editable(image, step)
+    points = []
     for spec in (*specs, *GUIDE):
         if not spec.shown_in(image):
             continue
@@ -316,7 +329,7 @@ def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisi
                 "label": spec.label,
                 "uv": mark.at(image),
                 "style": spec.of if spec.group == "wire" else _STYLES.get(spec.group, spec.group),
-                "movable": movable,
+                "movable": _is_editable(image, step, spec.group),
                 "snapped": on_curve and not mark.free,
                 "slides": on_curve and decisions.snapping and mark.at(NAMES[0]) is not None,
             }

@@ -1,4 +1,4 @@
-// Sends image files, one after another, to the address of their target.
+// Sends files, one after another, to the address of their target.
 // File names and the server's sentences are only ever shown as text.
 
 const PAGE = "position:fixed;inset:0;z-index:7000;display:flex;gap:16px;padding:24px;background:rgba(8,12,18,.86)";
@@ -12,11 +12,12 @@ function send(file, address, onProgress) {
   return new Promise((resolve) => {
     const request = new XMLHttpRequest(); // fetch reports no progress
     request.open("POST", address);
+    request.setRequestHeader("X-File-Name-End", file.name.replace(/[^.\w]/g, "").slice(-16));
     request.upload.onprogress = (event) => {
       if (event.total) onProgress(event.loaded / event.total);
     };
     request.onload = () => resolve(request.status === 200 ? null : sentence(request));
-    request.onerror = () => resolve("the image did not reach the app; is it still running?");
+    request.onerror = () => resolve("the file did not reach the app; is it still running?");
     request.send(file);
   });
 }
@@ -60,7 +61,7 @@ const drop = {
         </div>
       </teleport>
     </div>`,
-  props: { targets: Array, maxBytes: Number },
+  props: { targets: Array, maxBytes: Number, most: Number, smaller: String, accept: String },
   data: () => ({
     ready: false,
     told: false,
@@ -145,7 +146,7 @@ const drop = {
     },
     // Several files dropped at once go to this target and the following ones, one after another.
     async take(files, target) {
-      if (files.length > this.targets.length) return this.say(`at most ${this.targets.length} images at a time`, true);
+      if (files.length > this.most) return this.say(`at most ${this.most} files at a time`, true);
       files.forEach((file, n) => this.waiting.push([file, (target + n) % this.targets.length]));
       if (this.busy !== null) return;
       for (let next = this.waiting.shift(); next; next = this.waiting.shift()) await this.hand(...next);
@@ -153,7 +154,7 @@ const drop = {
     async hand(file, target) {
       if (file.size > this.maxBytes) {
         const size = Math.floor(this.maxBytes / 1e6);
-        return this.say(`${file.name} has more than ${size} MB; export a single image`, true);
+        return this.say(`${file.name} has more than ${size} MB; ${this.smaller}`, true);
       }
       this.busy = target;
       this.percent = 0;

@@ -1,5 +1,5 @@
-"""Pixels and maps for the browser at addresses that cannot be guessed, and images uploaded by it, limited in size and
-recognised by their content.
+"""Pixels and maps for the browser at addresses that cannot be guessed, and files uploaded by it, limited in size;
+images are recognised by their content, others by their names.
 The drop zone: buttons in place, and the whole page while a file is dragged over it.
 """
 
@@ -69,69 +69,90 @@ UPLOADS_PATH = "/upload/"
 
 @dataclass(frozen=True)
 class Upload:
-    """An uploaded image file. `suffix`: the file type by its content, for example ".dcm"."""
+    """An uploaded file. `suffix`: the file type by its content, for example ".dcm"; of another file than an image that
+    of its name."""
 
     suffix: str
     data: bytes = field(repr=False)
 
 
 OnUpload = Callable[[Upload], Awaitable[None] | None]
+NAME_HEADER = "x-file-name-end"
+
+
+@dataclass(frozen=True)
+class FileTypes:
+    """Files that are recognised by their names. `suffixes`: the longest first; `most`: at a time; `smaller`: what to do
+    with one that is too large."""
+
+    suffixes: tuple[str, ...]
+    most: int
+    smaller: str
+
+    def suffix_of(self, name: str) -> str:
+        """Return the suffix of a name; empty for another one."""
+        return next((suffix for suffix in self.suffixes if name.lower().endswith(suffix)), "")
 
 
 class Uploads:
     """Upload addresses: `open` returns an address for one purpose, `close` removes it."""
 
     def __init__(self) -> None:
-        self._receivers: dict[str, OnUpload] = {}
+        self._receivers: dict[str, tuple[OnUpload, FileTypes | None]] = {}
         self._at_once = 0
         self.route = Route(UPLOADS_PATH + "{key}", self._answer, methods=["POST"])
 
-    def open(self, on_upload: OnUpload) -> str:
-        """Return a new address whose images go to `on_upload`; a SightlineError raised there is shown in the
-        browser."""
+    def open(self, on_upload: OnUpload, types: FileTypes | None = None) -> str:
+        """Return a new address whose images, or files of these `types`, go to `on_upload`; a SightlineError raised
+        there is shown in the browser."""
         address = UPLOADS_PATH + secrets.token_urlsafe(18)
-        self._receivers[address] = on_upload
+        self._receivers[address] = on_upload, types
         return address
 
     def close(self, address: str) -> None:
-        """Stop accepting images at `address`."""
+        """Stop accepting files at `address`."""
         self._receivers.pop(address, None)
 
     async def _answer(self, request: Request) -> Response:
-        on_upload = self._receivers.get(request.url.path)
-        if on_upload is None:
+        if request.url.path not in self._receivers:
             return _refuse(404, "reload the page: it is no longer open")
         if self._at_once >= MAX_AT_ONCE:
-            return _refuse(503, "try again later: other images are still being received")
+            return _refuse(503, "try again later: other files are still being received")
+        on_upload, types = self._receivers[request.url.path]
         self._at_once += 1
         try:
-            pending = on_upload(await receive(request.stream()))
+            named = request.headers.get(NAME_HEADER, "")
+            pending = on_upload(await receive(request.stream(), types, named))
             if pending is not None:
                 await pending
         except SightlineError as error:
             return _refuse(422, str(error))
         except ClientDisconnect:
-            return _refuse(400, "send the image again: it did not arrive completely")
+            return _refuse(400, "send the file again: it did not arrive completely")
         finally:
             self._at_once -= 1
         return JSONResponse({})
 
 
-async def receive(chunks: AsyncIterator[bytes]) -> Upload:
-    """Return the upload in `chunks`, whose size the guard limits. Raises ImageError if it is empty or not an image.
+async def receive(chunks: AsyncIterator[bytes], types: FileTypes | None = None, named: str = "") -> Upload:
+    """Return the upload in `chunks`, whose size the guard limits. `types`: of the files that are taken, by the end of
+    its name, `named`; None: images. Raises ImageError if it is empty or of another type.
 
-    A file that is not an image is still read to its end, because a browser shows no response before it has sent all.
+    A file of another type is still read to its end, because a browser shows no response before it has sent all.
     """
-    data, known = bytearray(), None
+    data, known = bytearray(), "" if types is None else types.suffix_of(named)
     async for chunk in chunks:
-        if known is not None or len(data) < HEADER_BYTES:  # of a file that is not an image keep only the first bytes
+        if known or len(data) < HEADER_BYTES:  # of a file of another type keep only the first bytes
             data += chunk
-            known = known or format_of(bytes(data[:HEADER_BYTES]))
+            if not known and types is None and (found := format_of(bytes(data[:HEADER_BYTES]))) is not None:
+                known = found.suffixes[0]
     if not data:
-        raise ImageError("export the image again: the file is empty")
-    if known is None:
+        raise ImageError("export it again: the file is empty")
+    if not known and types is not None:
+        raise ImageError(f"give a file whose name ends with {', '.join(types.suffixes)}")
+    if not known:
         raise ImageError(f"give {FORMAT_NAMES}: the file is not an image that can be read")
-    return Upload(known.suffixes[0], bytes(data))
+    return Upload(known, bytes(data))
 
 
 def _refuse(status: int, sentence: str) -> Response:
@@ -139,21 +160,28 @@ def _refuse(status: int, sentence: str) -> Response:
 
 
 class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
-    """Accepts images for named targets; each goes to its target's `on_upload`, run in this element's slot."""
+    """Accepts files for named targets; each goes to its target's `on_upload`, run in this element's slot."""
 
     def __init__(
-        self, uploads: Uploads, targets: dict[str, OnUpload], boxes: Mapping[str, ui.element] = MappingProxyType({})
+        self,
+        uploads: Uploads,
+        targets: dict[str, OnUpload],
+        boxes: Mapping[str, ui.element] = MappingProxyType({}),
+        types: FileTypes | None = None,
     ) -> None:
-        """`boxes`: by target the part of the page that takes its files; while nothing is in it, it says so."""
+        """`boxes`: by target the part of the page that takes its files; while nothing is in it, it says so. `types`:
+        of the files; None: images."""
         self._uploads = uploads
-        self._addresses = {label: uploads.open(self._here(on_upload)) for label, on_upload in targets.items()}
+        self._addresses = {label: uploads.open(self._here(on_upload), types) for label, on_upload in targets.items()}
         super().__init__()
         self._props["targets"] = [{"label": label, "address": where} for label, where in self._addresses.items()]
         for target in self._props["targets"]:
             box = boxes.get(target["label"])
             target["box"] = None if box is None else f"c{box.id}"
         self._props["maxBytes"] = MAX_UPLOAD_BYTES
-        self._props["accept"] = ",".join([*SUFFIXES, "application/dicom"])
+        self._props["most"] = len(targets) if types is None else types.most
+        self._props["smaller"] = "export a single image" if types is None else types.smaller
+        self._props["accept"] = ",".join((*SUFFIXES, "application/dicom") if types is None else types.suffixes)
 
     def tell(self, states: Mapping[str, str], names: Mapping[str, str], labels: Mapping[str, str]) -> None:
         """Say what each target shows: "empty", "here", or "failed"; targets that are not named take nothing now.

@@ -50,7 +50,7 @@ export interface Listeners {
 }
 
 /** The component at work. */
-export type Drop = Data & Methods & { targets: Target[]; maxBytes: number; accept: string; shown: Target[]; listeners: Listeners };
+export type Drop = Data & Methods & { targets: Target[]; maxBytes: number; most: number; smaller: string; accept: string; shown: Target[]; listeners: Listeners };
 
 /** Its definition for Vue. */
 export interface Component {
