@@ -1,6 +1,7 @@
 """Files of results: which form a result has, and what is checked of every file."""
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, overload
@@ -9,7 +10,9 @@ from pydantic import BaseModel
 
 from sightline.calibration import BeadView, MatrixView
 from sightline.calibration.exchange import reading
+from sightline.calibration.exchange.formats import read_view
 from sightline.calibration.exchange.reading import json_bytes
+from sightline.calibration.view import CalibratedView
 from sightline.case.canonical import plain
 from sightline.case.interop.plan_file import sealed
 from sightline.case.saved import documents, models
@@ -106,6 +109,37 @@ def load(path: str | Path, kind: type | None = None) -> Any:
     if kind is not None and not isinstance(result, kind):
         raise UnusableInputError(f"{file.name} holds a {type(result).__name__}, not a {kind.__name__}")
     return result
+
+
+_VIEW = re.compile(rb'"sightline-(matrix-)?view/')
+
+
+def saved_views(file: Path) -> list[CalibratedView] | None:
+    """Return the views in a JSON file of `save` or of `sightline demo`; None for other files.
+
+    Raises UnusableInputError.
+    """
+    if file.suffix.lower() != ".json":
+        return None
+    if not _VIEW.search(read_bounded(file, MAX_JSON_BYTES, UnusableInputError, "give the file of a view")):
+        return None
+    saved = load(file)
+    return saved if isinstance(saved, list) else [saved]
+
+
+def read_views(files: Sequence[Path]) -> list[CalibratedView]:
+    """Return the views in files of `save`, or of other programs, one each (`sl.read_view`), in their order.
+
+    Raises UnusableInputError, also where two have the same name.
+    """
+    views: list[CalibratedView] = []
+    for file in files:
+        saved = saved_views(file)
+        views += [read_view(file).view()] if saved is None else saved
+    names = [view.name for view in views]
+    if len(set(names)) < len(names) or len(names) < 2:
+        raise UnusableInputError(f"the views are {', '.join(names)}; give two or more of different names")
+    return views
 
 
 def _read(given: Any) -> Any:

@@ -22,7 +22,6 @@ VIEW_HELP = (
     "File of a view: a matrix of 3x4 numbers, of another program, of `sl.save`; or the folder of a case. NAME, such as "
     "pa, where it holds several"
 )
-_SAVED = re.compile(rb'"sightline-(matrix-)?view/')
 
 
 @dataclass(frozen=True)
@@ -103,19 +102,15 @@ def read_seen(given: str) -> "Seen":
     Of a case it is the newest calibration of that view, computed again. Raises SightlineError.
     """
     from sightline.calibration.exchange.formats import read_view
-    from sightline.case.saved import load
-    from sightline.common.bounded import MAX_JSON_BYTES, read_bounded
-    from sightline.errors import UnusableInputError
+    from sightline.case.saved.files import saved_views
 
     name, colon, path = given.partition(":")
     name, file = (name, Path(path)) if colon and len(name) > 1 else (None, Path(given))  # C:\... is a path of Windows
     if file.is_dir():
         calibrated = {each.name: each.view for each in newest_of_case(file, name)[0]}
         return calibrated[_one_of(calibrated, name, file)], None
-    is_json = file.suffix.lower() == ".json"
-    if is_json and _SAVED.search(read_bounded(file, MAX_JSON_BYTES, UnusableInputError, "give the file of a view")):
-        saved = load(file)
-        views = {each.name: each for each in (saved if isinstance(saved, list) else [saved])}
+    if (saved := saved_views(file)) is not None:
+        views = {each.name: each for each in saved}
         return views[_one_of(views, name, file)], None
     pinhole = read_view(file, name=name)
     return pinhole.view(), pinhole.shape

@@ -158,7 +158,7 @@ def _of_pairs(solution: Solution) -> list[tuple[np.ndarray, np.ndarray, np.ndarr
 
 def _of_more(solution: Solution) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return points, values and rows of each point that more than two views show."""
-    residual = solution.by_point([r.xy_mm for r in solution.residuals])
+    residual = solution.xy_mm
     snapped, parts = solution.given.snapped, []
     for i in np.flatnonzero(solution.picks.seen.sum(axis=0) > 2):
         shown = np.repeat(solution.picks.seen[:, i], 2)

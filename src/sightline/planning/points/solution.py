@@ -37,7 +37,8 @@ def solve(lines: Sequence[LinesOfSight], picks: PickArrays, method: Method) -> "
         raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")
     refuse_two_frames(lines)
     given = Given(lines, picks)
-    xyz = _start(given)
+    xyz, sine = start(given)
+    _refuse_parallel(float(sine.min()))
     _refuse_behind(lines, picks.seen, xyz)
     used: Method = "nearest" if any(sight.covariance is None for sight in lines) else method
     solution = Solution(given, xyz, used)
@@ -52,10 +53,12 @@ class Given:
     """Lines and picks, and what follows from them wherever the points are.
 
     A point has 2V residuals (view, axis); those of a view that does not show it are zero, with no weight.
+    `own_mm2` (N, 2V, 2V): covariance of each point's residuals by the views' errors, where it is known beforehand.
     """
 
     lines: Sequence[LinesOfSight]
     picks: PickArrays
+    own_mm2: np.ndarray | None = None
 
     @cached_property
     def size(self) -> tuple[int, int]:
@@ -132,9 +135,9 @@ class Solution:
         lines, picks = self.lines, self.picks = given.lines, given.picks
         self.given, self.xyz_mm, self.method = given, xyz_mm, method
         self.residuals = tuple(LineResiduals.at(sight, xyz_mm[s]) for sight, s in zip(lines, picks.seen, strict=True))
-        total = given.total if method == "weighted" else None
-        information = self._distance_form() if total is None else self._information(total)
-        information = self._without_direction(information)
+        own = self.own_mm2() if method == "weighted" else None
+        information = self._distance_form() if own is None else self._information(own)
+        self.information = information = self._without_direction(information)
         self.to_point = self.by_point([r.to_point for r in self.residuals])
         normal = np.swapaxes(self.to_point, 1, 2) @ information
         self.weights = np.linalg.solve(normal @ self.to_point, normal)  # (N, 3, 2V): step of X = weights @ residuals
@@ -148,7 +151,18 @@ class Solution:
 
     def step_mm(self) -> np.ndarray:
         """Return the Gauss-Newton step (N, 3)."""
-        return np.einsum("iaj,ij->ia", self.weights, self.by_point([r.xy_mm for r in self.residuals]))
+        return np.einsum("iaj,ij->ia", self.weights, self.xy_mm)
+
+    @property
+    def xy_mm(self) -> np.ndarray:
+        """(N, 2V): the residuals of each point."""
+        return self.by_point([r.xy_mm for r in self.residuals])
+
+    def own_mm2(self) -> np.ndarray | None:
+        """Return (N, 2V, 2V): covariance of each point's residuals by the views' errors; None where one is unknown."""
+        if self.given.own_mm2 is not None or self.given.total is None:
+            return self.given.own_mm2
+        return np.einsum("ipiq->ipq", self._of_all(self.given.total))
 
     @cached_property
     def response(self) -> list[np.ndarray]:
@@ -191,10 +205,9 @@ class Solution:
         whole[..., at[:, None], at] = covariance_of_residuals(self.residuals, errors)
         return whole.reshape(*errors.shape[:-2], n, size, n, size)
 
-    def _information(self, total: np.ndarray) -> np.ndarray:
+    def _information(self, own: np.ndarray) -> np.ndarray:
         """Return (N, 2V, 2V): the inverse of the covariance of each point's residuals, zero where not seen."""
-        own = np.einsum("ipiq->ipq", self._of_all(total)) + self.given.picks_mm2
-        shown = np.repeat(self.picks.seen.T, 2, axis=1)
+        own, shown = own + self.given.picks_mm2, np.repeat(self.picks.seen.T, 2, axis=1)
         return inverse(own + np.eye(self.given.size[1]) * ~shown[:, None]) * (shown[:, None] & shown[:, :, None])
 
     def _distance_form(self) -> np.ndarray:
@@ -228,30 +241,34 @@ def inverse(covariance: np.ndarray) -> np.ndarray:
         ) from None
 
 
-def _start(given: Given) -> np.ndarray:
-    """Return for each point the middle of the closest approach of the two lines with the largest angle.
-
-    Raises ReconstructionRefusedError where all lines of a point are too nearly parallel to determine it.
-    """
+def start(given: Given) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each point the middle (N, 3) of the closest approach of the two lines with the largest angle, NaN
+    where all its lines are too nearly parallel to determine it, and the sine (N,) of that angle."""
     sines = np.array([sine for _, _, _, sine in given.pairs])
-    best, largest = sines.argmax(axis=0), sines.max(axis=0).min()
-    if largest < np.sin(MIN_ANGLE_RAD):
+    best, xyz = sines.argmax(axis=0), np.full((given.size[0], 3), np.nan)
+    for k, (own, approach) in enumerate(given.approaches):
+        taken = own & (best == k)
+        xyz[taken] = approach.middle_mm[taken[own]]
+    return xyz, sines.max(axis=0)
+
+
+def _refuse_parallel(sine: float) -> None:
+    if sine < np.sin(MIN_ANGLE_RAD):
         raise ReconstructionRefusedError(
-            f"the lines of sight of a point are nearly parallel ({np.rad2deg(np.arcsin(largest)):.1f}°; at least "
+            f"the lines of sight of a point are nearly parallel ({np.rad2deg(np.arcsin(sine)):.1f}°; at least "
             f"{np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed); acquire an image from another direction"
         )
-    xyz = np.empty((given.size[0], 3))
-    for k, (own, approach) in enumerate(given.approaches):
-        taken = best == k
-        xyz[taken] = approach.middle_mm[taken[own]]
-    return xyz
+
+
+def behind(sight: LinesOfSight, xyz_mm: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: the points (N, 3) on the view's lines that lie behind its X-ray source."""
+    return np.einsum("ia,ia->i", xyz_mm - sight.focal_point_mm, sight.directions) <= 0.0
 
 
 def _refuse_behind(lines: Sequence[LinesOfSight], seen: np.ndarray, xyz_mm: np.ndarray) -> None:
     """Raise ReconstructionRefusedError for points behind an X-ray source, which no ray reaches."""
     for sight, shown in zip(lines, seen, strict=True):
-        along = np.einsum("ia,ia->i", xyz_mm[shown] - sight.focal_point_mm, sight.directions)
-        if (along <= 0.0).any():
+        if behind(sight, xyz_mm[shown]).any():
             raise ReconstructionRefusedError(
                 f"the lines of sight intersect behind the X-ray source of view {sight.view!r}; check that the picks of "
                 "all images show the same points, and that the images belong to these views"

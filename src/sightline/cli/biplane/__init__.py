@@ -1,0 +1,1 @@
+"""Commands for biplane laboratories: points and balls of whole runs."""

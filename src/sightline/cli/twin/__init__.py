@@ -1,0 +1,1 @@
+"""Commands of the digital twin: simulated images, and accuracy studies on them."""
