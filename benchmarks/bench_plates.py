@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 import sightline as sl
 from benchmarks.harness import ARCADIS, Rows, rms
-from sightline.studies.comparison.measures import walk
+from sightline.detection.lattice import walk
 from sightline.studies.methods import Predict, local_weighted_mean, thin_plate_spline
 
 PLATES = ("plate_0", "plate_orbit30", "plate_orbit60")

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from sightline.detection import Detections
+from sightline.detection.lattice import Lattice, grow
 from sightline.imaging import Radiograph
 from sightline.studies.comparison import measures as measure
-from sightline.studies.comparison.measures import Lattice, NotMeasurableError, grow
+from sightline.studies.comparison.measures import NotMeasurableError
 
 OFF = np.array([0.31, -0.27])  # off the grid
 MIDDLE, RADIUS = np.array([511.5, 511.5]), 500.0

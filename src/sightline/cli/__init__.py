@@ -36,6 +36,7 @@ _FILES = (  # in the order in which `sightline --help` lists their commands
     "calibrate",
     "plan",
     "check_shot",
+    "biplane.grid",
     "biplane.reconstruct",
     "twin.simulate",
     "bone.render",

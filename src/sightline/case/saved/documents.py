@@ -11,6 +11,7 @@ from sightline.calibration import BeadView, CalibrationInputs, CArm, MatrixView,
 from sightline.calibration.exchange import opencv
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.exchange.reading import array
+from sightline.calibration.maps.grid import GridMap
 from sightline.case.canonical import plain, with_null
 from sightline.case.contents import PlanRequest
 from sightline.case.interop.plan_file import bundle
@@ -20,6 +21,7 @@ from sightline.common.geometry.rigid import why_not_rigid
 from sightline.detection import Detections, Observations, RejectedCandidate
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
+from sightline.imaging.formats import check_size
 from sightline.planning import Plan, SpacePoints, Trajectory
 from sightline.planning.bone.registered import RegisteredBone
 from sightline.planning.check.result import CheckShot
@@ -267,4 +269,26 @@ def shot(given: dict[str, Any]) -> CheckShot:
         **{name: given[name] for name in numbers},
         movement=moved,
         checks=checks(given["checks"]),
+    )
+
+
+def grid_written(grid: GridMap) -> dict[str, Any]:
+    """Return the document of a grid's map: its error, and the points that it is fitted to."""
+    points = {name: getattr(grid, name) for name in ("uv_px", "index", "pitch_mm", "shape")}
+    return {**grid.document(), **plain(points)}
+
+
+def grid_map(given: dict[str, Any]) -> GridMap:
+    """Return the grid's map of a document. Raises UnusableInputError where its lists differ in length."""
+    _refuse_uneven(given, "uv_px", "index")
+    shape = _shape(given["shape"])
+    check_size(*shape, "the map")
+    return GridMap(
+        np.array(given["uv_px"]).reshape(-1, 2),
+        np.array(given["index"]).reshape(-1, 2),
+        given["pattern"] == "hexagonal",
+        given["pitch_mm"],
+        shape,
+        given["kind"],
+        given["left_out"],
     )

@@ -12,6 +12,7 @@ from sightline.calibration import BeadView, MatrixView
 from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.formats import read_view
 from sightline.calibration.exchange.reading import json_bytes
+from sightline.calibration.maps.grid import GridMap
 from sightline.calibration.view import CalibratedView
 from sightline.case.canonical import plain
 from sightline.case.interop.plan_file import sealed
@@ -55,6 +56,7 @@ _FORMS = {
     "sightline-bone-pose/1": _Form(
         RegisteredBone, models.SavedBonePose, RegisteredBone.document, documents.registered_bone
     ),
+    "sightline-grid-map/1": _Form(GridMap, models.SavedGridMap, documents.grid_written, documents.grid_map),
     "sightline-check-shot/1": _Form(CheckShot, models.SavedCheckShot, documents.shot_written, documents.shot),
 }
 
@@ -71,8 +73,8 @@ def document(result: Any, **more: Any) -> dict[str, Any]:
 def save(result: Any, path: str | Path) -> Path:
     """Write a result as JSON, whole or not at all, and return its path.
 
-    `result`: Detections, Observations, a view, SpacePoints, a Trajectory, a Plan, a BonePose, a CheckShot or a Frame
-    (whose file is that of docs/frame-file.md). The image that a result was found in is not saved.
+    `result`: Detections, Observations, a view, SpacePoints, a Trajectory, a Plan, a BonePose, a CheckShot, a GridMap or
+    a Frame (whose file is that of docs/frame-file.md). The image that a result was found in is not saved.
     Raises UnusableInputError for other objects, and for a view that was not made by `calibrate` or `view_from_matrix`.
 
     >>> pa, lateral = sl.load("out/demo/views.json")

@@ -19,6 +19,7 @@ Point = tuple[Number, Number, Number]
 Covariance = tuple[Pixel, Pixel]
 _Six = tuple[Number, Number, Number, Number, Number, Number]
 Shape = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+Site = Annotated[int, Field(ge=-4096, le=4096)]  # of a lattice: more than an image of the largest size can show
 Digest = Annotated[str, Field(description="SHA-256 of the canonical JSON of all other keys.")]
 
 
@@ -196,6 +197,19 @@ class SavedCheckShot(_Saved):
     residual_rms: Number
     outlier_sigma: Number
     checks: tuple[CheckDocument, ...]
+
+
+class SavedGridMap(_Saved):
+    """The distortion map of an image of a dot grid or a perforated sheet, as `GridMap`: fitted again when read."""
+
+    schema_: Annotated[Literal["sightline-grid-map/1"], Field(alias="schema")]
+    uv_px: tuple[Pixel, ...]
+    index: tuple[tuple[Site, Site], ...]
+    pattern: Literal["square", "hexagonal"]
+    pitch_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    shape: Shape
+    kind: Literal["ball", "hole"]
+    left_out: int
 
 
 PUBLISHED = {"views": SavedViews, "trajectory": SavedTrajectory, "procedure": ProcedureDocument, "picks": Picks}

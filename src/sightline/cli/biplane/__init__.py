@@ -1,1 +1,1 @@
-"""Commands for biplane laboratories: points and balls of whole runs."""
+"""Commands for biplane laboratories: distortion, points and balls of whole runs."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from sightline.case.report.radiographs import JPEG_QUALITY, grey
 from sightline.detection import Detections, detect
+from sightline.detection.lattice import Lattice
 from sightline.errors import DetectionRefusedError, SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.frame.plate import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM
@@ -18,7 +19,6 @@ from sightline.imaging import Radiograph, read_image
 from sightline.imaging.formats import FORMAT_NAMES
 from sightline.studies.comparison import measures as measure
 from sightline.studies.comparison.measures import (
-    Lattice,
     NotMeasurableError,
     field_circle,
     lattice_of,

@@ -14,14 +14,13 @@ from scipy.spatial import KDTree
 from sightline.detection import Detections
 from sightline.detection.beads.noise import NoiseModel, estimate_noise
 from sightline.detection.beads.window import BEYOND
-from sightline.detection.labelling.naming import ON_PLACE
+from sightline.detection.lattice import Lattice, lattice_of_sheet, powers
 from sightline.detection.log_image import field_inset, log_image
-from sightline.errors import RefusedError
+from sightline.errors import DetectionRefusedError, RefusedError
 from sightline.imaging import Radiograph
 
 DEGREES = (1, 2, 3, 4, 5, 6, 7)
 RIM = 0.9  # of the field's radius: where pincushion and turn are stated; an octagonal field reaches further [ours]
-ON_LATTICE = 0.8  # [ours] share of the beads that must stand on one lattice: the others may be metal or writing
 PER_COEFFICIENT = 2  # [ours] points for each coefficient of a polynomial, at least: of fewer, it follows the noise
 CLEAR = 1.6  # [ours] bead radii about a bead that count as its shadow and blur: with less, noise is overstated
 STEP_PX = 0.2  # grid of the template of a rim
@@ -35,101 +34,6 @@ OPEN, INNER = 0.8, 0.8  # log ratio of bright to dark, in so much of the radius:
 RINGS, MIN_RINGS, SECTORS, MIN_PIXELS = 10, 6, 12, 100
 PLATE_BLUR = 0.7  # pitches: leaves 3e-6 of a hexagonal lattice's own pattern [calc]
 UNEVEN = 0.05  # spread (s.d.) of brightness around a ring beyond which something shades it: vignetting is round [ours]
-# Of a lattice, whose points lie within ON_PLACE of where their neighbours predict them:
-STARTS = 5  # points tried as the first one: on a square lattice the middle one and its four neighbours
-MIN_SINE = 0.75  # between both axes: 60, 90 and 120 degrees and distortion [ours]
-HEXAGONAL_COSINE = 0.25  # between both axes: above 75.5 degrees a lattice counts as square
-
-
-@dataclass(frozen=True, eq=False)
-class Lattice:
-    """A lattice of N points. `members` (N,): indices of its points; `uv_px` (N, 2); `index` (N, 2): integers along its
-    axes.
-
-    `axes` (2, 2): rows are the axes on the ideal plate, in pitches, 60 or 90 degrees apart. `pitch_px`: at the start.
-    """
-
-    members: np.ndarray
-    uv_px: np.ndarray
-    index: np.ndarray
-    axes: np.ndarray
-    pitch_px: float
-
-    def __len__(self) -> int:
-        return len(self.members)
-
-    @property
-    def xy(self) -> np.ndarray:
-        """Positions (N, 2) of the points on the ideal plate, in pitches."""
-        return self.index @ self.axes
-
-
-def grow(uv_px: np.ndarray) -> Lattice | None:
-    """Return the largest lattice grown from a start near the middle of points (N, 2); None if no three points span one.
-
-    It grows from neighbour to neighbour, so that accumulated distortion does no harm. Points that fit nowhere are left
-    out.
-    """
-    if len(uv_px) < 4:
-        return None
-    tree = KDTree(uv_px)
-    starts = np.atleast_1d(tree.query(np.median(uv_px, axis=0), k=STARTS)[1])
-    grown = [
-        lattice for start in starts if start < len(uv_px) and (lattice := _from(uv_px, tree, int(start))) is not None
-    ]
-    return max(grown, key=len, default=None)
-
-
-def _axes(uv_px: np.ndarray, tree: KDTree, start: int) -> np.ndarray | None:
-    """Return the steps (2, 2) to two neighbours, 60 to 90 degrees apart."""
-    near = np.asarray(tree.query(uv_px[start], k=min(9, len(uv_px)))[1])[1:]
-    steps = uv_px[near] - uv_px[start]
-    length = np.linalg.norm(steps, axis=1)
-    sine = np.abs(steps[0, 0] * steps[:, 1] - steps[0, 1] * steps[:, 0]) / (length[0] * length)
-    across = np.flatnonzero((sine > MIN_SINE) & (length < 1.3 * length[0]))
-    if not len(across):
-        return None
-    first, second = (_centred(steps, steps[k]) for k in (0, across[0]))
-    return np.array([first, second if first @ second >= -HEXAGONAL_COSINE * length[0] ** 2 else second + first])
-
-
-def _centred(steps: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Return a step, averaged with the opposite step if there is one."""
-    gap = np.linalg.norm(steps + step, axis=1)
-    opposite = int(np.argmin(gap))
-    return (step - steps[opposite]) / 2 if gap[opposite] < ON_PLACE * np.linalg.norm(step) else step
-
-
-def walk(uv_px: np.ndarray, tree: KDTree, start: int, axes: np.ndarray) -> dict[tuple[int, int], int]:
-    """Return the index of the point (N, 2) at each site of a lattice with axes (2, 2), px, around point `start`."""
-    pitch = float(np.linalg.norm(axes, axis=1).mean())
-    place: dict[tuple[int, int], int] = {(0, 0): start}
-    taken, todo = {start}, [(0, 0)]
-    for i, j in todo:  # the loop appends to its own list
-        here = uv_px[place[i, j]]
-        for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            site, behind = (i + di, j + dj), place.get((i - di, j - dj))
-            if site in place:
-                continue
-            step = here - uv_px[behind] if behind is not None else np.array([di, dj]) @ axes
-            distance, nearest = tree.query(here + step)
-            if distance < ON_PLACE * pitch and nearest not in taken:
-                place[site] = int(nearest)
-                taken.add(int(nearest))
-                todo.append(site)
-    return place
-
-
-def _from(uv_px: np.ndarray, tree: KDTree, start: int) -> Lattice | None:
-    axes = _axes(uv_px, tree, start)
-    if axes is None:
-        return None
-    place = walk(uv_px, tree, start, axes)
-    pitch = float(np.linalg.norm(axes, axis=1).mean())
-    members = np.array(list(place.values()))
-    cosine = axes[0] @ axes[1] / np.prod(np.linalg.norm(axes, axis=1))
-    ideal = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)] if cosine > HEXAGONAL_COSINE else [0.0, 1.0]])
-    return Lattice(members, uv_px[members], np.array(list(place)), ideal, pitch)
 
 
 class NotMeasurableError(RefusedError):
@@ -169,15 +73,10 @@ def lattice_of(beads: Detections | None) -> Lattice:
     """The lattice that an image's beads stand on. Raises NotMeasurableError."""
     if beads is None:
         raise NotMeasurableError("no beads or holes")
-    lattice = grow(beads.uv_px)
-    least = PER_COEFFICIENT * 10  # a cubic's coefficients
-    if lattice is None or len(lattice) < max(least, ON_LATTICE * len(beads)):
-        number = 0 if lattice is None else len(lattice)
-        raise NotMeasurableError(
-            f"{number} of {len(beads)} beads stand on one lattice; at least {least} and "
-            f"{ON_LATTICE:.0%} of them are needed"
-        )
-    return lattice
+    try:
+        return lattice_of_sheet(beads.uv_px)
+    except DetectionRefusedError as error:
+        raise NotMeasurableError(str(error)) from None
 
 
 def distortion(lattice: Lattice, centre_px: np.ndarray, radius_px: float) -> DistortionMeasured:
@@ -215,12 +114,6 @@ def _at_rim(xy: np.ndarray, uv: np.ndarray, degree: int) -> tuple[float, float]:
     own = ring.real[:, None] * to_image[1] + ring.imag[:, None] * to_image[2]
     ratio = np.mean(((seen - start) @ [1, 1j]) / (own @ [1, 1j]))
     return float(ratio.real - 1), float(np.angle(ratio))
-
-
-def powers(xy: np.ndarray, degree: int) -> np.ndarray:
-    """(N, K) monomials x^i y^j, i + j <= degree, of points (N, 2), by rising degree."""
-    x, y = xy.T
-    return np.stack([x ** (d - j) * y**j for d in range(degree + 1) for j in range(d + 1)], axis=-1)
 
 
 def edge_spread(image: Radiograph, beads: Detections | None) -> tuple[float, int]:
