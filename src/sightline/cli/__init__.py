@@ -52,6 +52,7 @@ _FILES = (  # in the order in which `sightline --help` lists their commands
     "case",
     "watch",
     "export",
+    "bone.export_bone",
 )
 
 

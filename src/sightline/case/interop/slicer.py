@@ -16,7 +16,7 @@ from sightline.case.interop.plan_file import PlanFile
 from sightline.common.geometry.lines import unit
 from sightline.imaging.volumes.nrrd import nrrd_bytes
 
-_RAS_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+RAS_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _SLICES = ("Red", "Yellow", "Green")
 
 
@@ -117,7 +117,7 @@ def _slice(root: Element, layout: str, volume: str, pinhole: Pinhole, to_lps: np
     placed = np.eye(4)
     across, up = (unit(axis) for axis in (steps[0], -steps[1]))
     placed[:3] = np.column_stack([across, up, np.cross(across, up), middle])
-    matrix = _RAS_LPS @ to_lps @ placed
+    matrix = RAS_LPS @ to_lps @ placed
     laid = {"orientation": "Reformat", "sliceToRAS": " ".join(repr(float(x) + 0.0) for x in matrix.ravel())}
     common = {"singletonTag": layout, "layoutName": layout}
     _node(root, "Slice", f"vtkMRMLSliceNode{layout}", layout, sliceVisibility="true", **common, **laid)

@@ -211,6 +211,7 @@ def register_bone(
     The CT holds one bone, as it is now. Exit code 3 where a check failed; the files are written all the same.
     """
     from sightline import register_bone as registered
+    from sightline.case.interop.bone import slicer_files
     from sightline.case.saved import document as saved_document
 
     with output.step("reading"):
@@ -227,7 +228,7 @@ def register_bone(
     document = saved_document(found)
     plan = {} if placed is None else {**placed.document(), **_identity(shown)}
     if out is not None:
-        output.written(_write(out, placed or found, document, plan))
+        output.written(_write(out, placed or found, slicer_files(found), document, plan))
     if plan:
         document["plan"] = plan
     output.result(document, found.checks if placed is None else placed.verdict.checks)
@@ -249,19 +250,18 @@ def _say(output: Output, placed: "CtWire") -> None:
         output.say(line)
 
 
-def _write(folder: Path, drawn: "BonePose | CtWire", document: dict[str, Any], plan: dict[str, Any]) -> list[Path]:
+def _write(
+    folder: Path,
+    drawn: "BonePose | CtWire",
+    for_slicer: dict[str, bytes],
+    document: dict[str, Any],
+    plan: dict[str, Any],
+) -> list[Path]:
     """Write pose, picture, and plan if there is one; return the files."""
-    import numpy as np
-
-    from sightline.case.interop.formats import transform_bytes
     from sightline.case.interop.plan_file import sealed
     from sightline.common.atomic import write_folder
 
-    # Slicer places objects by the inverse of the mapping in a file.
-    for_slicer = transform_bytes(
-        np.linalg.inv(document["matrix"]), "3D Slicer: places the CT or mesh in CFCS, mm; other programs: invert it"
-    )
-    files = {"bone-pose.json": as_json(document).encode(), "bone-pose.tfm": for_slicer}
+    files = {"bone-pose.json": as_json(document).encode(), **for_slicer}
     if plan:
         files["plan.json"] = as_json(sealed(plan)).encode()
     return write_folder(folder, files | {"bone.png": drawn.png()})
