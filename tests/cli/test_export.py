@@ -8,7 +8,8 @@ import pytest
 from pydicom import dcmread
 from tests.cli.picked import picks_file, typed
 
-from sightline.calibration.exchange.formats import FORMATS, read_view
+from sightline.calibration.exchange.formats import FORMATS, check_format, read_view, write_view
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.plan_file import sealed
 from sightline.imaging import read_image
 
@@ -148,3 +149,12 @@ def test_beads_alone_give_the_geometry_without_an_image(run, beads_csv: Path, tm
     ran = run("export", "views", beads_csv, beads_csv, "--to", "deepdrr", "--out", tmp_path, "--json")
     assert ran.code in (0, 3), ran.out
     assert sorted(p.name for p in tmp_path.glob("[!.]*")) == ["lateral.deepdrr.json", "pa.deepdrr.json"]
+
+
+@pytest.mark.parametrize("program", ["xmalab", "autoscoper"])
+def test_the_name_of_a_program_is_that_of_its_format(program: str) -> None:
+    pinhole = Pinhole.of_matrix(
+        np.array([[4000.0, 0, 500, 3e5], [0, 4000, 500, 3e5], [0, 0, 1, 600]]), "pa", (900, 1000)
+    )
+    assert write_view(pinhole, program) == write_view(pinhole, "mayacam2")
+    assert check_format(program) == "mayacam2"

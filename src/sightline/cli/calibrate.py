@@ -47,11 +47,15 @@ def calibrate(
     picture: Annotated[
         Path | None, typer.Option(help="Write a PNG of the image with each bead's residual as an arrow.")
     ] = None,
+    views: Annotated[
+        Path | None, typer.Option(help="Put the view into this JSON file, beside those of other images.")
+    ] = None,
 ) -> None:
     """Calibrate one view from its own beads.
 
     Gives the focal point, the residual of each bead and the checks of the view. Exit code 3 if a check fails.
     """
+    from sightline.case.saved.files import add_view
     from sightline.case.views import calibrated as calibrated_image
     from sightline.case.views import view_document
     from sightline.common.atomic import write_whole
@@ -76,6 +80,8 @@ def calibrate(
         bead["leave_one_out_mm"] = error.tolist() if known else None
     if picture is not None:
         write_whole(picture, calibrated.view.png())
+    if views is not None:
+        output.say(f"{views.name} holds {', '.join(add_view(calibrated.view, views))}")
     output.failures(calibrated.view.checks)
     _show(output, document)
     output.result(document, calibrated.view.checks)

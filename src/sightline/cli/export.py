@@ -50,7 +50,10 @@ def views(
     *,
     images: ImageOptions,
     out: OutFolder,
-    to: Annotated[str, typer.Option(help="Formats: opencv,rtk,mayacam2,diffdrr,deepdrr,xreg.")] = "opencv",
+    to: Annotated[
+        str,
+        typer.Option(help="Formats: opencv,rtk,mayacam2,diffdrr,deepdrr,xreg; xmalab and autoscoper read mayacam2."),
+    ] = "opencv",
     raw: Annotated[
         bool,
         typer.Option("--raw", help="Export the raw image with its nearest pinhole; refused if the image is distorted."),

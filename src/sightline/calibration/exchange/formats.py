@@ -27,6 +27,7 @@ _READ: dict[str, Callable[[bytes, str], Pinhole]] = {  # RTK's reader needs its 
 }
 _MAX_BYTES = {"xreg": MAX_FILE_BYTES}  # its file contains the images
 FORMATS = (*_WRITE, *_WRITE_WITH_IMAGE)
+ALIASES = {"autoscoper": "mayacam2", "xmalab": "mayacam2"}  # programs that read and write that format
 
 
 def write_view(pinhole: Pinhole, kind: str, pixels: np.ndarray | None = None) -> dict[str, bytes]:
@@ -35,7 +36,8 @@ def write_view(pinhole: Pinhole, kind: str, pixels: np.ndarray | None = None) ->
     `pixels` (H, W): the image, which only RTK's and xReg's files hold. Without it RTK's image is all zeros, and xReg's
     file holds none.
     """
-    if check_format(kind) in _WRITE_WITH_IMAGE:
+    kind = check_format(kind)
+    if kind in _WRITE_WITH_IMAGE:
         return _WRITE_WITH_IMAGE[kind](pinhole, pixels)
     return _WRITE[kind](pinhole)
 
@@ -52,7 +54,7 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
     """
     file = Path(path)
     words = file.name.lower().split(".")
-    kind = check_format(kind or next((word for word in words[1:] if word in FORMATS), "opencv"))
+    kind = check_format(kind or next((word for word in words[1:] if word in (*FORMATS, *ALIASES)), "opencv"))
     view = name or re.sub(r"[^\w-]", "_", words[0])[:32]
     data = reading.read_bytes(file, _MAX_BYTES.get(kind, MAX_TEXT_BYTES))
     try:
@@ -70,7 +72,8 @@ def _head(image: Path) -> bytes:
 
 
 def check_format(kind: str) -> str:
-    """Return the name of a format. Raises UnusableInputError for an unknown one."""
-    if kind not in FORMATS:
-        raise UnusableInputError(f"unknown format of a view {kind!r}; choose one of {', '.join(FORMATS)}")
-    return kind
+    """Return the name of a format, given by itself or by a program's. Raises UnusableInputError for an unknown one."""
+    if (name := ALIASES.get(kind, kind)) not in FORMATS:
+        known = ", ".join((*FORMATS, *ALIASES))
+        raise UnusableInputError(f"unknown format of a view {kind!r}; choose one of {known}")
+    return name

@@ -121,6 +121,6 @@ def pixel_size(value: Any, what: str) -> tuple[float, float] | None:
     return u, v
 
 
-def json_bytes(document: dict[str, Any]) -> bytes:
+def json_bytes(document: dict[str, Any] | list[dict[str, Any]]) -> bytes:
     """Return a document of plain types as JSON. Raises ValueError for a number that is not finite, which is a bug."""
     return json.dumps(document, indent=1, allow_nan=False).encode()

@@ -129,6 +129,19 @@ def saved_views(file: Path) -> list[CalibratedView] | None:
     return saved if isinstance(saved, list) else [saved]
 
 
+def add_view(view: CalibratedView, file: Path) -> list[str]:
+    """Write a view into a file of views, in the place of an older one of its name or last; return all names.
+
+    Raises UnusableInputError, also for a file that holds something else.
+    """
+    views = {each.name: each for each in saved_views(file) or ()} if file.exists() else {}
+    if file.exists() and not views:
+        raise UnusableInputError(f"{file.name} holds no views; name another file")
+    views[view.name] = view
+    write_whole(file, json_bytes([document(each) for each in views.values()]))
+    return list(views)
+
+
 def read_views(files: Sequence[Path]) -> list[CalibratedView]:
     """Return the views in files of `save`, or of other programs, one each (`sl.read_view`), in their order.
 

@@ -80,8 +80,9 @@ def reconstruct(
     write_whole(out, "".join([_HEADER, *text]).encode())
     document = _summary(output, found)
     output.written([out])
-    check = gap_check(found.gap_mm, found.gap_sigma, found.reason)
-    output.result({**document, "pixels": pixels, "file": out}, [check])
+    checks = [check for view in solver.views for check in view.checks]
+    checks.append(gap_check(found.gap_mm, found.gap_sigma, found.reason))
+    output.result({**document, "pixels": pixels, "file": out}, checks)
 
 
 def _pixels(table: "PointTable", views: "Sequence[CalibratedView]", given: str | None, first_pixel: int | None) -> str:
