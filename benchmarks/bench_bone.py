@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from benchmarks import gvxr
+from benchmarks import bone_peers, gvxr
 from benchmarks.bone_trials import (
     REACH,
     SIZES,
@@ -30,6 +30,7 @@ from benchmarks.scenes.bones import FIRST_SEED, draw_bone_scene
 from sightline.from_images.registration import ScannedBone, register_bone
 
 TRIALS, FAULT_TRIALS, QUICK = 300, 120, 4
+PEER_TRIALS = 20
 MOVED_SCENES, NOTICED, MAX_HIDDEN = 20, 0.95, 1.0
 # Mean error over the targets of a pose that counts as found, and of one that counts as wrong [ours].
 FOUND_MM, WRONG_MM = 1.0, 2.0
@@ -70,6 +71,7 @@ def run(quick: bool) -> Rows:
         add(rows, scenes)
     fault_rows(rows, FAULT_TRIALS // 20 if quick else FAULT_TRIALS)
     movement_rows(rows, 1 if quick else MOVED_SCENES, 3 if quick else FAULT_TRIALS)
+    peer_rows(rows, 1 if quick else PEER_TRIALS)
     time_rows(rows)
     return rows
 
@@ -165,6 +167,27 @@ def movement_rows(rows: Rows, scenes: int, count: int) -> None:
         rows.add(f"moved by {movement}: trusted and outside the stated 99.9 %", f"{sum(own)} of {len(own)}")
     name = f"all these movements ({len(wrong)}): trusted and outside the stated 99.9 %"
     rows.number(name, 100 * np.mean(wrong), ".1f", "%", most=MAX_HIDDEN)
+
+
+def peer_rows(rows: Rows, count: int) -> None:
+    """Add ours beside ITK's registration of two projections, with the bone alone and with the whole scan."""
+    name = "exact views, start within 10 mm, 10°, beside ITK"
+    if not bone_peers.INSTALLED:
+        rows.add(name, "not installed", peer="pip install itk-twoprojectionregistration")
+        return
+    scenes, _ = finished(trials(bone_peers.peer_trial, range(count)))
+    for what, key, unit, form in (
+        ("median of the mean error of targets", "error_mm", "mm", ".3f"),
+        (f"mean error of targets below {FOUND_MM:g} mm", "error_mm", "%", ".0f"),
+        ("processor time of a trial, median", "time_s", "s", ".1f"),
+    ):
+        texts = {}
+        for way in ("ours", "bone alone", "whole scan"):
+            values = np.array([each[way][key] for each in scenes])
+            value = 100 * np.mean(values < FOUND_MM) if unit == "%" else np.median(values)
+            texts[way] = f"{value:{form}} {unit}"
+        peer = f"ITK: bone alone {texts['bone alone']}, whole scan {texts['whole scan']}"
+        rows.add(f"{name} ({len(scenes)}): {what}", texts["ours"], peer=peer)
 
 
 def time_rows(rows: Rows) -> None:
