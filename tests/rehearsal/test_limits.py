@@ -40,7 +40,9 @@ def _shot(made: Plan, views: list[StandInView], beyond_mm: float, patch: pytest.
     path = made.trajectory
     points = path.entry_mm + np.linspace(0.0, path.length_mm + beyond_mm, 40)[:, None] * path.direction
 
-    def found(_plan: Plan, _image: object, _beads: object, view: StandInView, *_: object) -> SimpleNamespace:
+    def found(
+        _plan: Plan, _image: object, _beads: object, view: StandInView, *_: object, **_known: object
+    ) -> SimpleNamespace:
         uv = view.project(points)
         known = {"variance_px2": np.full(len(uv) - 2, 0.01), "tip_variance_px2": 0.04}
         return SimpleNamespace(uv_px=uv[:-2], tip_uv_px=uv[-1], **known)

@@ -216,17 +216,25 @@ def _placed(document: dict[str, Any]) -> Axis:
 
 @dataclass(frozen=True, eq=False)
 class CheckRequest:
-    """The inputs of a check shot besides its images: the wire's diameter, and the landmarks picked in both pairs."""
+    """The inputs of a check shot besides its images: the wire's diameter, the landmarks picked in both pairs, and the
+    plan's bone, registered in these images."""
 
     wire_mm: float
     landmarks: Landmarks
+    bone: RegisteredBone | None = None
 
     @staticmethod
     def of(document: dict[str, Any]) -> "CheckRequest":
         """Return the request that an entry holds, as `verified` wrote it."""
         known = document["landmarks"]
         before, after = (np.reshape(known[key], (2, -1, 2)) for key in ("planned_uv_px", "checked_uv_px"))
-        return CheckRequest(document["wire_mm"], Landmarks(before, after, known["sd_px"]))
+        bone = document.get("bone")
+        bone = None if bone is None else RegisteredBone.of(bone)
+        return CheckRequest(document["wire_mm"], Landmarks(before, after, known["sd_px"]), bone)
+
+    def document(self) -> dict[str, Any]:
+        """Return the request as an entry holds it."""
+        return {key: value for key, value in vars(self).items() if value is not None}
 
     def shot(
         self,
@@ -239,12 +247,16 @@ class CheckRequest:
 
         Raises CaseError if a check view is a table of beads, and what `find_planned_wire` and `check_shot` raise.
         """
-        from sightline.from_images.pipeline import find_planned_wire
+        from sightline.from_images.pipeline import find_planned_wire, known_by
         from sightline.planning.check.shot import check_shot
 
-        wires = [find_planned_wire(made, *_with_wire(shown), shown.view, self.wire_mm, others_mm) for shown in checked]
+        _refuse_other_images(self.bone, checked)
         before, after = ([image.view for image in pair] for pair in (planned, checked))
-        return check_shot(made.to_check(before), after, wires, landmarks=self.landmarks)
+        known, size = known_by(made, self.bone, after), self.wire_mm
+        wires = [
+            find_planned_wire(made, *_with_wire(shown), shown.view, size, others_mm, known=known) for shown in checked
+        ]
+        return check_shot(made.to_check(before), after, wires, landmarks=self.landmarks, known=known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +286,7 @@ class DrillShotRequest:
 
     def document(self) -> dict[str, Any]:
         """Return the request as an entry holds it."""
-        return {**vars(self.check), **{key: value for key, value in vars(self).items() if key != "check"}}
+        return {**self.check.document(), **{key: value for key, value in vars(self).items() if key != "check"}}
 
     def shot(
         self,
@@ -371,4 +383,4 @@ def shot(asked: DrillShotRequest, result: "DrillShot | str") -> dict[str, Any]:
 
 def verified(asked: CheckRequest, result: CheckShot | str) -> dict[str, Any]:
     """Return the content of a verified entry; `result` is the check shot, or why it was refused."""
-    return {"asked": asked, **({"refused": result} if isinstance(result, str) else result.document())}
+    return {"asked": asked.document(), **({"refused": result} if isinstance(result, str) else result.document())}

@@ -18,8 +18,41 @@ if TYPE_CHECKING:
     from sightline.case.replay import Recomputed
     from sightline.common.checks import Check
     from sightline.frame import Frame
+    from sightline.planning.bone.registered import RegisteredBone
     from sightline.planning.check.result import CheckShot
     from sightline.planning.check.wires import Landmarks
+
+
+@dataclass(frozen=True)
+class FoundAgain:
+    """What was found again in the images, and tells how the bone moved since the plan."""
+
+    picks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="JSON file of landmarks found again (docs/check-shot.md). Three show how the bone moved.",
+            show_default=False,
+        ),
+    ] = None
+    bone: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="bone-pose.json of `register-bone` in these images, of a plan with --bone: it shows how the bone "
+            "moved without landmarks.",
+            show_default=False,
+        ),
+    ] = None
+
+    def read(self) -> "tuple[Picks, RegisteredBone | None]":
+        """Return the picks, none without a file, and the bone. Raises UnusableInputError."""
+        from sightline.case.picks import Picks
+        from sightline.case.saved import load
+        from sightline.planning.bone.registered import RegisteredBone
+
+        picks = Picks() if self.picks is None else Picks.read(self.picks)
+        return picks, None if self.bone is None else load(self.bone, RegisteredBone)
 
 
 @command(
@@ -27,6 +60,8 @@ if TYPE_CHECKING:
     "check-shot",
     "sightline check-shot check_pa.dcm check_lateral.dcm --case out/case \\",
     "  --picks found.json",
+    "sightline check-shot check_pa.dcm check_lateral.dcm --case out/case \\",
+    "  --bone out/check-bone/bone-pose.json",
 )
 def check_shot(
     output: Output,
@@ -36,14 +71,7 @@ def check_shot(
     ] = None,
     lateral: Annotated[Path | None, typer.Argument(help="Lateral image with the wire.")] = None,
     case: Annotated[Path, typer.Option(help="Folder of the case with the plan, made by `plan --case` or the app.")],
-    picks: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="JSON file of landmarks found again (docs/check-shot.md). Three show how the bone moved.",
-            show_default=False,
-        ),
-    ] = None,
+    found: FoundAgain,
     wire: WireKey = None,
     distances: Distances,
     invert: Invert = False,
@@ -55,7 +83,6 @@ def check_shot(
     """
     files = both_or_none(pa, lateral)
     from sightline.case.journal import Case, Kind
-    from sightline.case.picks import Picks
     from sightline.case.replay import Recomputed
     from sightline.case.stages import frame_of
     from sightline.errors import CaseError
@@ -65,11 +92,11 @@ def check_shot(
         if entry is None:
             raise CaseError("the case holds no plan; make one with `sightline plan --case`")
         entry = _of_wire(entry, again.of_all_wires(entry), wire)
-        given = Picks() if picks is None else Picks.read(picks)
+        given, bone = found.read()
         frame = frame_of(opened, opened.entry(entry.rests_on[0]).settings["frame"])
         known = {"source_detector_mm": distances.sid, "pixel_mm": distances.pixel}
         taken = NewImages(files, frame, given.mirrored, known, entry.number, invert)
-        output.result(*measure_check(output, (opened, again, entry), given, taken))
+        output.result(*measure_check(output, (opened, again, entry), given, taken, bone))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +116,15 @@ class NewImages:
 
 
 def measure_check(
-    output: Output, of: "tuple[Case, Recomputed, Entry]", picks: "Picks", new: NewImages
+    output: Output,
+    of: "tuple[Case, Recomputed, Entry]",
+    picks: "Picks",
+    new: NewImages,
+    bone: "RegisteredBone | None" = None,
 ) -> "tuple[dict[str, Any], tuple[Check, ...]]":
     """Measure, record and print a check shot; return its document, and its checks with the relations between wires.
 
-    `of`, and what is raised: as of `measure_shot`.
+    `bone`: registered in these images. `of`, and what is raised: as of `measure_shot`.
     """
     from sightline.case.contents import CheckRequest
     from sightline.case.picks import CHECK_NAMES
@@ -103,7 +134,7 @@ def measure_check(
     landmarks = landmarks_of(picks, plan)
     with output.step("computing the plan again"):
         made = again.plan(plan)
-    request = CheckRequest(made.kind.wire_mm, landmarks)
+    request = CheckRequest(made.kind.wire_mm, landmarks, bone)
     shot, views, kept = measure_shot(output, of, request, new, record_verified)
     _show(output, shot)
     relations = _relations(output, again, plan)

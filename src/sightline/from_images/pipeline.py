@@ -26,14 +26,18 @@ from sightline.frame.designs import BUILTIN, SOLIDS
 from sightline.frame.plate import Fiducial
 from sightline.imaging import GeometryTags, Radiograph, as_radiograph, image_checks
 from sightline.planning import Plan, reconstruct
+from sightline.planning.bone.registered import RegisteredBone
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.shot import Landmarks
 from sightline.planning.check.shot import check_shot as adjusted
 from sightline.planning.check.wires import (
     BEFORE_MM,
     GUIDED_MM,
+    STILL,
+    Beforehand,
     ExpectedWire,
     PlacedWire,
+    by_bone,
     expected_wire,
     nail_px,
     placed_wires,
@@ -88,6 +92,7 @@ def check_shot(
     frame: Frame | str | Path,
     *,
     landmarks: Landmarks | None = None,
+    bone: RegisteredBone | None = None,
     others_mm: Sequence[np.ndarray] = (),
     white: float | None = None,
 ) -> CheckShot:
@@ -95,7 +100,8 @@ def check_shot(
 
     `planned`: the views of the plan; `images`: of the first two of them, in their order, with the wire in the bone;
     `frame`, `white`: as of `calibrate_image`. `landmarks`: three points of the bone picked in all four images, which
-    tell how the bone moved since. `others_mm`: entry and end (2, 3), planned or measured, of each other wire that may
+    tell how the bone moved since. `bone`: of the plan's CT or mesh, registered in these images, which tells it without
+    landmarks. `others_mm`: entry and end (2, 3), planned or measured, of each other wire that may
     be in the images, such as `WirePlans.others_mm(key)`.
     Raises what `calibrate_image` raises, WireRefusedError, UnusableInputError, ReconstructionRefusedError,
     OutsideRegionError, ErrorUnknownError.
@@ -107,14 +113,28 @@ def check_shot(
     False
     """
     frame = Frame.of(frame)
-    views, wires = [], []
+    views, shown = [], []
     for before, given in zip(planned[:2], images, strict=True):
         image, beads = find_beads(as_radiograph(given, white))
         observations = label_beads(image, beads, frame, before.name)
-        view = view_of(observations, image, frame, c_arm=known_arm(image))
-        wires.append(find_planned_wire(plan, image, beads, view, plan.kind.wire_mm, others_mm))
-        views.append(view)
-    return adjusted(plan.to_check(planned), views, wires, landmarks=landmarks)
+        views.append(view_of(observations, image, frame, c_arm=known_arm(image)))
+        shown.append((image, beads, views[-1]))
+    known = known_by(plan, bone, views)
+    wires = [
+        find_planned_wire(plan, image, beads, view, plan.kind.wire_mm, others_mm, known=known)
+        for image, beads, view in shown
+    ]
+    return adjusted(plan.to_check(planned), views, wires, landmarks=landmarks, known=known)
+
+
+def known_by(plan: Plan, bone: RegisteredBone | None, checked: Sequence[CalibratedView]) -> Beforehand:
+    """Return what a bone that is registered in the images of the views `checked` tells of its movement since the plan.
+
+    Raises what `by_bone` raises.
+    """
+    if bone is None:
+        return STILL
+    return by_bone(plan.arguments["bone"], bone, plan.trajectory.points.xyz_mm, checked)
 
 
 def find_planned_wire(  # noqa: PLR0917
@@ -124,13 +144,16 @@ def find_planned_wire(  # noqa: PLR0917
     view: CalibratedView,
     wire_mm: float,
     others_mm: Sequence[np.ndarray] = (),
+    *,
+    known: Beforehand = STILL,
 ) -> WireShadow:
     """Return the wire of diameter `wire_mm` in a check image, searched for about its plan.
 
     A drill through the hole of a nail is searched for outside the nail, farther out, where its sleeve keeps it
-    straight. `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
+    straight. `others_mm`: as of `check_shot`; `known`: of the bone's movement since the plan. Raises what
+    `expected_wire` and `find_wire` raise.
     """
-    search = planned_search(plan, view, others_mm)
+    search = planned_search(plan, view, others_mm, known)
     return find_wire(image, search.expected, wire_mm, beads, others=search.others, covered_px=search.covered_px)
 
 
@@ -142,10 +165,15 @@ class WireSearch(NamedTuple):
     covered_px: Sequence[np.ndarray]
 
 
-def planned_search(plan: Plan, view: CalibratedView, others_mm: Sequence[np.ndarray] = ()) -> WireSearch:
+def planned_search(
+    plan: Plan, view: CalibratedView, others_mm: Sequence[np.ndarray] = (), known: Beforehand = STILL
+) -> WireSearch:
     """Return where `find_planned_wire` searches."""
-    before_mm, covered = (BEFORE_MM, ()) if plan.hole is None else (GUIDED_MM, [nail_px(view, plan.hole)])
-    expected = expected_wire(view, plan.trajectory.points.xyz_mm, plan.kind.limits.beyond_mm, before_mm)
+    ends_mm, movement = plan.trajectory.points.xyz_mm, known.movement
+    if known is not STILL:  # a motion that is none may change the last bit
+        ends_mm, others_mm = movement.apply(ends_mm), [movement.apply(line) for line in others_mm]
+    before_mm, covered = (BEFORE_MM, ()) if plan.hole is None else (GUIDED_MM, [nail_px(view, plan.hole, movement)])
+    expected = expected_wire(view, ends_mm, plan.kind.limits.beyond_mm, before_mm)
     return WireSearch(expected, expected_wires(others_mm, view), covered)
 
 

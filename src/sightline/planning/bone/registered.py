@@ -122,6 +122,24 @@ class RegisteredBone(Shown):
                     f"the bone was registered in another {seen.view} image than this one; register it in these images"
                 )
 
+    def movement_to(self, now: "RegisteredBone", xyz_mm: np.ndarray) -> tuple[RigidTransform, np.ndarray]:
+        """Return how the bone moved until it was registered `now`: the motion from the CFCS of the one to that of the
+        other, and its covariance (6, 6) of a rotation vector, rad, about the point (3,) and a shift, mm, there.
+
+        It is an upper bound for what is seen in the same views, whose errors would cancel in part. Raises
+        UnusableInputError for another CT or mesh, ErrorUnknownError.
+        """
+        if now.volume_sha256 != self.volume_sha256:
+            raise UnusableInputError(
+                "the bone was registered with another CT or mesh than in the plan, which has other coordinates; "
+                "register the same file"
+            )
+        movement = now.pose * self.pose.inv()
+        before = _about(xyz_mm - self.centre_mm, self._known_covariance)
+        turned = np.kron(np.eye(2), movement.rotation.as_matrix())
+        after = _about(movement.apply(xyz_mm) - now.centre_mm, now._known_covariance)
+        return movement, turned @ before @ turned.T + after
+
     def checks_beside(self, judged: Sequence[Check]) -> tuple[Check, ...]:
         """Return the registration's checks that are not among those `judged` of the same views."""
         known = {(check.code, check.view) for check in judged}
@@ -156,3 +174,9 @@ class RegisteredBone(Shown):
             "views": [{**vars(seen), "focal_point_mm": seen.focal_point_mm.tolist()} for seen in self.views],
             "volume_sha256": self.volume_sha256,
         }
+
+
+def _about(arm_mm: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the covariance (6, 6) of rotation and shift at the end of an arm (3,)."""
+    to_end = np.vstack([np.eye(3, 6), displacement(arm_mm)])
+    return to_end @ covariance @ to_end.T

@@ -171,7 +171,7 @@ class Adjustment:
         """Return the check shot with its errors and its checks; `through`: as of `check_shot`."""
         residual, design, gain, covariance = self._linearised()
         # An uninformative prior does not count as an observation.
-        free = 6 if self._n >= MIN_LANDMARKS else 3 if self._n else 0
+        free = 0 if self._known.registered else 6 if self._n >= MIN_LANDMARKS else 3 if self._n else 0
         square = residual @ np.linalg.solve(covariance, residual) / (len(residual) - free - design.shape[1])
         to_deviation = self._to_deviation(limits.beyond_mm) @ gain
         # The plan's picks define the plan: their error is not an error of the deviation from it.
@@ -199,7 +199,7 @@ class Adjustment:
             outlier_sigma=float(_standardised_residuals(residual, design, covariance).max()),
         )
         walls_mm = self._trajectory.length_mm if through else None
-        return replace(shot, checks=checks(shot, limits, self._views[1], walls_mm))
+        return replace(shot, checks=checks(shot, limits, self._views[1], walls_mm, self._known.registered))
 
     @property
     def _middle(self) -> np.ndarray:
@@ -253,7 +253,9 @@ class Adjustment:
         covariance[:-6, :-6] = joint_covariance(rows)
         rotation_sd = _FREE_RAD if self._n >= MIN_LANDMARKS else STILL_RAD
         prior_sd = np.repeat([rotation_sd, _FREE_MM if self._n else STILL_MM], 3)
-        covariance[-6:, -6:] = np.diag(prior_sd**2) + self._known.covariance
+        covariance[-6:, -6:] = self._known.covariance
+        if not self._known.registered:
+            covariance[-6:, -6:] += np.diag(prior_sd**2)
         weighted = np.linalg.solve(covariance, design).T
         return residual, design, np.linalg.solve(weighted @ design, weighted), covariance
 

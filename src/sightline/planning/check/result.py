@@ -147,18 +147,23 @@ class CheckShot(Shown):
 
 
 def checks(
-    shot: CheckShot, limits: Limits, views: Sequence[CalibratedView], walls_mm: float | None = None
+    shot: CheckShot,
+    limits: Limits,
+    views: Sequence[CalibratedView],
+    walls_mm: float | None = None,
+    registered: tuple[Check, ...] = (),
 ) -> tuple[Check, ...]:
     """Return the checks of the drilled wire, the check images' own checks first.
 
     `walls_mm`: of a drill through a nail, between its walls along the plan; it is judged at both instead of at its tip.
+    `registered`: the checks of the registrations that tell the bone's movement, instead of landmarks.
     """
     far_mm = shot.tip_error_95_mm if walls_mm is None else shot.beside(walls_mm)[1]
     return (
         *(check.of_view(view.name) for view in views for check in view.checks),
         *_deviations(shot, limits, walls_mm),
         check_shot_error(max(shot.entry_error_95_mm, far_mm), shot, limits),
-        _landmarks(shot),
+        *(registered or (_landmarks(shot),)),
         _residuals(shot),
         _outlier(shot),
         _bow(shot),

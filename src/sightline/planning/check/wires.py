@@ -1,7 +1,7 @@
 """Wires in images: planned ones as a check image should show them, those found, and those in the bone, in space."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 from typing import Protocol
 
@@ -10,9 +10,11 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
+from sightline.common.checks import Check, failed
 from sightline.common.geometry.lines import unit
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.planning.bone.drawings import Axis
+from sightline.planning.bone.registered import RegisteredBone
 from sightline.planning.nail.result import Hole
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, PickArrays
 from sightline.planning.points.reconstruct import reconstruct
@@ -93,7 +95,8 @@ class Beforehand:
     about the middle of the plan) and shift (mm, there), axes of the latter CFCS. `straight`: the wire is in its guide,
     outside the bone. `before_mm`: how far before the entry bone may begin, so that more of the wire outside it counts.
     `by_landmarks`: the images' frame is fixed to the patient, so that landmarks alone tell `movement`; the plan's frame
-    may be another one.
+    may be another one. `registered`: the bone was registered in both pairs of images, which tells `movement` without
+    landmarks; the checks of both registrations.
     """
 
     movement: RigidTransform = field(default_factory=RigidTransform.identity)
@@ -101,9 +104,28 @@ class Beforehand:
     straight: bool = False
     before_mm: float = 0.0
     by_landmarks: bool = False
+    registered: tuple[Check, ...] = ()
 
 
 STILL = Beforehand()
+
+
+def by_bone(
+    planned: RegisteredBone | None, now: RegisteredBone, ends_mm: np.ndarray, checked: Sequence[CalibratedView]
+) -> Beforehand:
+    """Return what a bone tells that is registered in the plan's images and `now`, in the images of the views `checked`.
+
+    `ends_mm` (2, 3): of the plan. Raises UnusableInputError, also for other views, and ErrorUnknownError.
+    """
+    if planned is None:
+        raise UnusableInputError(
+            "the plan was made without a registered bone; plan again with it, or leave it out here"
+        )
+    now.refuse_other_views(checked)
+    movement, covariance = planned.movement_to(now, ends_mm.mean(axis=0))
+    before = [replace(check, sentence=f"In the plan's images: {check.sentence}") for check in failed(planned.checks)]
+    own = now.checks_beside([check.of_view(view.name) for view in checked for check in view.checks])
+    return Beforehand(movement, covariance, registered=(*own, *before))
 
 
 @dataclass(frozen=True, eq=False)
