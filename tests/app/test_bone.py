@@ -14,15 +14,17 @@ import pytest
 from tests.registration import balls
 
 from sightline.app.plan.decisions import Mark
-from sightline.app.session.bone import MAX_POINTS, FoundBone
+from sightline.app.plan.found_bone import FoundBone
+from sightline.app.plan.planner import request_of
+from sightline.app.session.bone import MAX_POINTS
 from sightline.app.session.session import Session
 from sightline.app.tab.placing import Placing, ProcedureStep
 from sightline.case.journal import Actor
 from sightline.case.views import NAMES
-from sightline.common.checks import CheckCode, failed
+from sightline.common.checks import Check, CheckCode, failed
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.imaging.volumes.ct import write_ct
-from sightline.planning.points.results import Verdict
+from sightline.planning.bone.registered import BoneView, RegisteredBone
 
 AT = {"shaft": balls.CENTRES_MM[4], "head": balls.CENTRES_MM[0], "side": balls.CENTRES_MM[1]}
 OFF_PX = np.array([2.0, -1.5])  # of a click: 1 mm at the bone
@@ -47,12 +49,15 @@ def opened(folder: Path, scene: balls.Scene) -> Session:
     worker: Any = AtHand()
     made = Session.open(folder, "gamma", None, worker)
     planning: Any = made.planning
-    images = dict(zip(NAMES, scene.images(), strict=True))
+    images = dict(zip(NAMES, zip(scene.images(), scene.views, strict=True), strict=True))
     planning.views = lambda names=NAMES: scene.views if names == NAMES else None
     entry = SimpleNamespace(at=datetime.now(UTC), by=Actor.DEMO)
-    planning.seen = lambda name: (
-        SimpleNamespace(image=images[name], acquired=entry, taken_at=None) if name in images else None
-    )
+
+    def seen(name: str) -> Any:
+        image, view = images.get(name, (None, None))
+        return None if image is None else SimpleNamespace(image=image, view=view, acquired=entry, taken_at=None)
+
+    planning.seen = seen
     planning._reopen = planning.jobs.notify  # the images above are in no journal
     return made
 
@@ -102,7 +107,7 @@ def test_a_bone_is_registered_accepted_kept_and_undone(session: Session, ct: byt
     assert asked == [(name, image) for name in AT for image in NAMES]
     run(bone.register())
     found = bone.found
-    assert found is not None and not bone.checks and not bone.asked
+    assert found is not None and not bone.asked
     matrix = np.array(found.pose["matrix"])
     off = balls.CENTRES_MM @ matrix[:3, :3].T + matrix[:3, 3] - balls.POSE.apply(balls.CENTRES_MM)
     assert np.linalg.norm(off, axis=1).max() < 0.3
@@ -120,7 +125,7 @@ def test_a_bone_is_registered_accepted_kept_and_undone(session: Session, ct: byt
     planning.redo()
     assert bone.accepted is not None
     bone.discard()
-    assert bone.accepted is None and not bone.checks
+    assert bone.accepted is None
 
 
 def _edges_are_silhouettes(found: FoundBone) -> None:
@@ -135,26 +140,34 @@ def _edges_are_silhouettes(found: FoundBone) -> None:
         assert on.sum() > 10 and np.ptp(angles) > np.pi
 
 
-def test_its_checks_are_of_the_verdict_while_its_images_are_there(session: Session) -> None:
-    moved = {
-        "name": "bone movement",
-        "passed": False,
-        "figure": 7.1,
-        "limit": 5.3,
-        "unit": "s.d.",
-        "sentence": "Moved.",
-    }
-    found = FoundBone({"pa": 11, "lateral": 12}, {}, "95 % error 0.4 mm", (moved,), {})
-    known: Any = SimpleNamespace(verdict=Verdict(()))
-    session.bone._found = found
-    assert all(check.name != "bone movement" for check in session.readiness.verdict_of(known).checks)
+def test_its_checks_are_of_the_plan_while_its_images_are_there(session: Session) -> None:
+    """Of the plan and of what the case records of it, not only of what the page shows."""
+    planning, moved = session.planning, Check("bone movement", False, 7.1, 5.3, "s.d.", "Moved.")
+    views = tuple(BoneView(view.name, view.focal_point_mm, "0" * 64) for view in balls.Scene().views)
+    pose = RegisteredBone(balls.POSE.as_matrix(), np.zeros(3), np.eye(6), (moved,), views, "1" * 64)
+    session.bone._found = FoundBone({"pa": 11, "lateral": 12}, pose.document(), "95 % error 0.4 mm", (vars(moved),), {})
+    for name, at in {"entry": AT["shaft"], "end": AT["head"]}.items():
+        places = {
+            view.name: tuple(view.project(balls.POSE.apply(at)[None])[0].tolist()) for view in balls.Scene().views
+        }
+        planning.edit(planning.decisions.with_mark(name, Mark(places)))
+    assert _movements(session) == []
     session.bone.accept()
-    (check,) = (check for check in session.readiness.verdict_of(known).checks if check.name == "bone movement")
-    assert not check.passed and session.readiness.verdict_of(known).state == "no-go"
-    session.planning.decide(images={"pa": 11, "lateral": 13})
-    assert session.bone.accepted is None and not session.bone.checks
-    session.planning.undo()
-    assert session.bone.accepted == found
+    assert _movements(session) == [moved]
+    known = planning.planned
+    assert known is not None and known.verdict is not None and known.verdict.state == "no-go"
+    kept = request_of(known.decisions, 2, known.bone).bone
+    assert kept is not None and kept.checks == (moved,)
+    planning.decide(images={"pa": 11, "lateral": 13})
+    assert session.bone.accepted is None and _movements(session) == []
+    planning.undo()
+    assert _movements(session) == [moved]
+
+
+def _movements(session: Session) -> list[Check]:
+    verdict = session.readiness.verdict
+    assert verdict is not None, session.planning.planned
+    return [check for check in verdict.checks if check.code is CheckCode.BONE_MOVEMENT]
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ import numpy as np
 
 from sightline.app import texts
 from sightline.app.plan.decisions import HEAD
+from sightline.app.plan.found_bone import FoundBone
 from sightline.app.plan.marks import by_borders
 from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
-from sightline.app.session.bone import FoundBone
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
 from sightline.app.session.session import Session

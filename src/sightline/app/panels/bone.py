@@ -8,8 +8,9 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.section import Section, action, checks, heading, note
+from sightline.app.plan.found_bone import FoundBone
 from sightline.app.plan.marks import MarkSpec
-from sightline.app.session.bone import CT_TYPES, MESH_TYPES, POINT_TYPES, FoundBone
+from sightline.app.session.bone import CT_TYPES, MESH_TYPES, POINT_TYPES
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp

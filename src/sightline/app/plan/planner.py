@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sightline.app.plan.decisions import HEAD, NECK, SHAFT, Decisions, FittedAxis, Mark, Pixel
+from sightline.app.plan.found_bone import BoneInViews
 from sightline.app.plan.marks import END, ENTRY, NAIL_EDGES, MarkSpec, aid_marks, hole_mark, images_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
@@ -151,7 +152,8 @@ def _pair_pixels(marks: Sequence[Mark]) -> np.ndarray:
 class Planned:
     """The results of decisions. `curves`: image-matching curves in the lateral image, by point of the wire. `plan`: of
     the current wire; `wires`: the plans of all, where the procedure has several. `refused`: reasons for missing
-    results, by their names. `holes`: what was found of a nail, once it was looked for."""
+    results, by their names. `holes`: what was found of a nail, once it was looked for. `bone`: registered in
+    these images."""
 
     decisions: Decisions
     views: tuple[BeadView, ...]
@@ -160,6 +162,7 @@ class Planned:
     refused: Mapping[str, str] = field(default_factory=dict)
     wires: WirePlans | None = None
     holes: HolesFound | None = None
+    bone: BoneInViews | None = None
 
     @property
     def verdict(self) -> Verdict | None:
@@ -241,40 +244,49 @@ def proposed(ends: Mapping[str, Mark], proposal: Proposal) -> Mapping[str, Mark]
     return marks
 
 
-def planned(decisions: Decisions, views: Sequence[BeadView], holes: HolesFound | None = None) -> Planned:
+def planned(
+    decisions: Decisions,
+    views: Sequence[BeadView],
+    holes: HolesFound | None = None,
+    bone: BoneInViews | None = None,
+) -> Planned:
     """Return the results of decisions on calibrated views: PA, lateral, and a third where there is one.
 
-    `holes`: what the images show of the nail of these decisions; None where they have none, or it is not known yet."""
+    `holes`: what the images show of the nail of these decisions; None where they have none, or it is not known yet.
+    `bone`: registered in these images."""
     if decisions.of_nail:
-        return _planned_through(decisions, views, holes)
+        return _planned_through(decisions, views, holes, bone)
+    apart = views if bone is None else bone.views  # which planning adjusts to each other
     curves, refused = _drawn_curves(decisions, views)
     current: Plan | None = None
     wires: WirePlans | None = None
     if not refused and wires_placed(decisions):
-        asked = request_of(decisions, len(views))
+        asked = request_of(decisions, len(views), bone)
         try:
             if asked.others is None:
-                current = asked.plan_on(views, _curve)
+                current = asked.plan_on(apart, _curve)
             else:
-                wires = asked.plan_wires_on(views, _curve)
+                wires = asked.plan_wires_on(apart, _curve)
                 current = wires.plans.get(kind_of(decisions.kind).wire.key)
         except SightlineError as error:
             refused["plan"] = str(error)
-    return Planned(decisions, tuple(views), curves, current, refused, wires)
+    return Planned(decisions, tuple(views), curves, current, refused, wires, bone=bone)
 
 
-def _planned_through(decisions: Decisions, views: Sequence[BeadView], holes: HolesFound | None) -> Planned:
+def _planned_through(
+    decisions: Decisions, views: Sequence[BeadView], holes: HolesFound | None, bone: BoneInViews | None
+) -> Planned:
     """Return the plans of the holes that were found, unless one of those clicked was refused."""
     refused = {} if holes is None else dict(holes.refused)
     wires: WirePlans | None = None
     if holes is not None and holes.holes and not refused:
-        asked = request_of(decisions, len(views))
+        asked = request_of(decisions, len(views), bone)
         try:
             wires = asked.plan_holes_on(holes.views, holes.holes, _curve)
         except SightlineError as error:
             refused["plan"] = str(error)
     current = None if wires is None else wires.plans.get(kind_of(decisions.kind).wire.key)
-    return Planned(decisions, tuple(views), {}, current, refused, wires, holes)
+    return Planned(decisions, tuple(views), {}, current, refused, wires, holes, bone)
 
 
 def wires_placed(decisions: Decisions) -> list[str]:
@@ -322,13 +334,13 @@ def landmarks_of(decisions: Decisions, views: int) -> tuple[MarkSpec, ...]:
     return tuple(spec for spec in listed if sum(decisions.mark(spec.name).at(name) is not None for name in images) > 1)
 
 
-def request_of(decisions: Decisions, views: int) -> PlanRequest:
+def request_of(decisions: Decisions, views: int, bone: BoneInViews | None = None) -> PlanRequest:
     """Return `plan_input` of the current wire, or of the first that is placed where the current one is not."""
     kinds = wires_placed(decisions)
-    return plan_input(decisions, views, decisions.kind if decisions.kind in kinds else kinds[0])
+    return plan_input(decisions, views, decisions.kind if decisions.kind in kinds else kinds[0], bone)
 
 
-def plan_input(decisions: Decisions, views: int, kind: str = "") -> PlanRequest:
+def plan_input(decisions: Decisions, views: int, kind: str = "", bone: BoneInViews | None = None) -> PlanRequest:
     """Return a plan's input besides its views, of this number: of the wire of this kind, default the current one. Its
     entry and end, or its hole, must be placed in PA and lateral; the procedure's other wires are in it where theirs
     are."""
@@ -354,6 +366,7 @@ def plan_input(decisions: Decisions, views: int, kind: str = "") -> PlanRequest:
         aids=_aids(decisions),
         others=others if known.several else None,
         nail=nail_drawn(decisions),
+        bone=None if bone is None else bone.bone,
     )
 
 

@@ -3,25 +3,23 @@ accept. Its checks join the verdict."""
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from pydantic import TypeAdapter
 
+from sightline.app.plan.found_bone import FoundBone
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.session.jobs import sentence_of
 from sightline.app.session.planning import Planning
 from sightline.calibration import BeadView
 from sightline.calibration.exchange.markups import read_points
 from sightline.case import stages
-from sightline.case.journal import Actor, Case
+from sightline.case.journal import Actor
 from sightline.case.views import NAMES
 from sightline.common.atomic import scratch_folder, write_whole
-from sightline.common.checks import Check
-from sightline.errors import CaseError, SightlineError, UnusableInputError
+from sightline.errors import SightlineError, UnusableInputError
 from sightline.imaging import Radiograph
 from sightline.imaging.volumes.meshes import FILE_TYPES
 
@@ -35,28 +33,6 @@ MESH_TYPES = tuple(f".{kind}" for kind in FILE_TYPES)
 MIN_POINTS, MAX_POINTS = 2, 12  # of landmarks [calc] for an axis; [ours] nobody clicks more in two images
 MAX_NAME = 40  # [ours] characters of a landmark, which a row of the page shows
 T = TypeVar("T")
-Line = list[list[float]]  # of [u, v]
-
-
-@dataclass(frozen=True)
-class FoundBone:
-    """A registered bone, as the journal keeps it. `images`: numbers of the entries that acquired the images, by their
-    names; `pose`: as of `BonePose.document`; `error`: its 95 % error as a sentence; `checks`: its own, without those
-    of the views; `edges`: of the bone's shadow in each image, lines of px."""
-
-    images: Mapping[str, int]
-    pose: Mapping[str, Any]
-    error: str
-    checks: tuple[Mapping[str, Any], ...]
-    edges: Mapping[str, list[Line]]
-
-    @property
-    def judged(self) -> tuple[Check, ...]:
-        """The checks."""
-        return tuple(map(Check.of, self.checks))
-
-
-_JSON = TypeAdapter(FoundBone)
 
 
 class BoneStep:
@@ -106,28 +82,17 @@ class BoneStep:
     @property
     def found(self) -> FoundBone | None:
         """The pose that waits for a person; None without one, and once an image was replaced."""
-        return self._found if self._is_of_images(self._found) else None
+        return self._found if self._found is not None and self._planning.shows(self._found) else None
 
     @property
     def accepted(self) -> FoundBone | None:
         """The accepted pose; None without one, and for other images than it was found in."""
-        number = self._planning.decisions.bone
-        kept = None if number is None else _kept(self._planning.case, number)
-        return kept if self._is_of_images(kept) else None
+        return self._planning.accepted_bone
 
     @property
     def shown(self) -> FoundBone | None:
         """The pose that waits for a person, else the accepted one."""
         return self.found or self.accepted
-
-    @property
-    def checks(self) -> tuple[Check, ...]:
-        """The checks of the accepted pose, which join the verdict."""
-        return () if self.accepted is None else self.accepted.judged
-
-    def _is_of_images(self, bone: FoundBone | None) -> bool:
-        images = self._planning.decisions.images
-        return bone is not None and all(images.get(name) == number for name, number in bone.images.items())
 
     async def take(self, data: bytes, suffix: str) -> None:
         """Take a CT or mesh, or the landmarks in it; the one before stays where this one is refused.
@@ -151,10 +116,11 @@ class BoneStep:
                 f"calibrate both views, drop a CT or mesh, and click {MIN_POINTS} of its landmarks or more in both"
             )
         names = planning.names
-        images = [seen.image for seen in map(planning.seen, names) if seen is not None]
+        shown = [seen for seen in map(planning.seen, names) if seen is not None]
+        images, apart = [seen.image for seen in shown], tuple(seen.view for seen in shown if seen.view is not None)
         numbers = {name: planning.decisions.images[name] for name in names}
         clicked = {"points_mm": self.points, "clicks": self.clicked}
-        work = partial(registered, volume, images, views, numbers=numbers, **clicked)
+        work = partial(registered, volume, images, apart, numbers=numbers, **clicked)
         self._found, self.refused = None, ""
         try:
             self._found = await planning.jobs.during("registering the bone", lambda: planning.worker.do(work))
@@ -169,8 +135,7 @@ class BoneStep:
     def accept(self) -> None:
         """Keep the pose in the case; from now on its checks are of the verdict. Raises CaseError."""
         if self.found is not None:
-            to = _JSON.dump_python(self.found, mode="json")
-            entry = stages.record_changed(self._planning.case, "bone", to, by=Actor.SURGEON)
+            entry = stages.record_changed(self._planning.case, "bone", self.found.document(), by=Actor.SURGEON)
             self._planning.decide(bone=entry.number)
             self._found = None
 
@@ -184,14 +149,6 @@ class BoneStep:
 
 def _mark(name: str) -> str:
     return f"bone-{name}"
-
-
-@lru_cache(maxsize=4)
-def _kept(case: Case, number: int) -> FoundBone:
-    try:
-        return _JSON.validate_python(case.entry(number).content["to"])
-    except ValueError as error:
-        raise CaseError("the bone's pose in the case's journal cannot be read; run `sightline case check`") from error
 
 
 def _keep(folder: Path, name: str, data: bytes, read: Callable[[Path], T]) -> T:

@@ -133,7 +133,7 @@ class DrillingWorkflow:
         target = session.target_for(plan, identity, time.monotonic() - age_s, seen)
         limit = _depth_limit(known, target)
         views = [entry_of(case, seen) for seen in map(planning.seen, planning.names) if seen is not None]
-        made = record_planned(case, views, plan_input(decisions, len(views)), plan, by=Actor.SURGEON)
+        made = record_planned(case, views, plan_input(decisions, len(views), bone=known.bone), plan, by=Actor.SURGEON)
         planning.write_picks(decisions)
         # From here on the robot may hold this plan, even after an error; the earlier one must not be drilled.
         self.held = None

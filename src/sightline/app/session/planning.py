@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline.app import texts
 from sightline.app.plan.decisions import HEAD, NECK, SHAFT, Decisions, Display, History, Pixel, as_fitted
+from sightline.app.plan.found_bone import BoneInViews, FoundBone
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import (
     ROBOT_WIRE,
@@ -160,6 +161,28 @@ class Planning:
         return (drawn, views, tuple(image.image for image in seen)) if len(views) == len(self.names) else None
 
     @property
+    def accepted_bone(self) -> FoundBone | None:
+        """The bone's pose that a person accepted; None without one, and for other images than it was found in.
+
+        Raises CaseError."""
+        number = self.decisions.bone
+        found = None if number is None else _found_bone(self.case, number)
+        return found if found is not None and self.shows(found) else None
+
+    def shows(self, bone: FoundBone) -> bool:
+        """Return True if a bone was registered in the images of the plan, and in no others."""
+        return dict(bone.images) == {name: self.decisions.images.get(name) for name in self.names}
+
+    @property
+    def bone(self) -> BoneInViews | None:
+        """The accepted bone in the views that it was registered to; None without one."""
+        accepted = self.accepted_bone
+        if accepted is None:
+            return None
+        views = [seen.view for seen in map(self.seen, self.names) if seen is not None]
+        return BoneInViews(accepted.registered, tuple(view for view in views if view is not None))
+
+    @property
     def asks_mirrored(self) -> tuple[str, ...]:
         """Names of the planning images if all show the frame mirrored, else empty. A person must then say whether the
         display or the frame file is the cause; one answer is enough."""
@@ -175,7 +198,7 @@ class Planning:
         old = self._planned
         holes = self.nail.found
         if old is None or old.decisions is not self.decisions or old.views != views or old.holes is not holes:
-            self._planned = planned(self.decisions, views, holes)
+            self._planned = planned(self.decisions, views, holes, self.bone)
         return self._planned
 
     @property
@@ -321,7 +344,9 @@ class Planning:
         if known is None or made is None or self.all_sent or known is self._kept:
             return
         views = [entry_of(self.case, seen) for seen in map(self.seen, self.names) if seen is not None]
-        stages.record_plans(self.case, views, request_of(known.decisions, len(views)), made, by=Actor.SURGEON)
+        stages.record_plans(
+            self.case, views, request_of(known.decisions, len(views), known.bone), made, by=Actor.SURGEON
+        )
         self.write_picks(known.decisions)
         self._kept = known
 
@@ -433,6 +458,11 @@ def _drawn_px(drawn: Circle | Line) -> np.ndarray:
     """Return the clicks of a circle or of a line between borders."""
     borders = drawn.borders_px if isinstance(drawn, Line) else None
     return drawn.uv_px if borders is None else borders
+
+
+@lru_cache(maxsize=4)
+def _found_bone(case: Case, number: int) -> FoundBone:
+    return FoundBone.of(case.entry(number).content["to"])
 
 
 @lru_cache(maxsize=4)  # planning and check images, before and after a change

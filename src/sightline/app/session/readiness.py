@@ -6,7 +6,6 @@ from math import isfinite
 from time import monotonic
 
 from sightline.app.plan.planner import Planned
-from sightline.app.session.bone import BoneStep
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.case.journal import Actor
@@ -87,8 +86,8 @@ def is_fresh(age_s: float | None) -> bool:
 class Readiness:
     """The verdict on the plan of a case."""
 
-    def __init__(self, planning: Planning, age: PlanAge, bone: BoneStep) -> None:
-        self._planning, self._age, self._bone = planning, age, bone
+    def __init__(self, planning: Planning, age: PlanAge) -> None:
+        self._planning, self._age = planning, age
 
     def verdict_of(self, known: Planned | None) -> Verdict | None:
         """Return the verdict on sending the plans of all wires; None without one."""
@@ -115,7 +114,7 @@ class Readiness:
 
     @property
     def confirmations(self) -> list[Check]:
-        """Checks of the confirmations by a person, of the plan's age, and of the bone's pose that a person accepted."""
+        """Checks of the confirmations by a person, and of the plan's age."""
         side, serial = self._planning.decisions.side, self._planning.decisions.serial
         known = self._planning.frame.serial
         drilled_s = self._age.drilled_s  # the age of a drilled plan no longer matters
@@ -152,7 +151,6 @@ class Readiness:
                 "s",
                 _age_sentence(age_s, fresh=fresh, drilled=drilled_s is not None),
             ),
-            *self._bone.checks,
         ]
 
 

@@ -39,7 +39,7 @@ class Session:
         self.planning = Planning(case, frame_ref, worker, self.jobs)
         self.age = PlanAge(self.planning)
         self.bone = BoneStep(self.planning)
-        self.readiness = Readiness(self.planning, self.age, self.bone)
+        self.readiness = Readiness(self.planning, self.age)
         self.drilling = DrillingWorkflow(self.planning, self.age, self.readiness)
         self.live = Live(self.planning)
         self.verifying = Verifying(self.planning)

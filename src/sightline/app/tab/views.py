@@ -100,7 +100,7 @@ def _preview(
 ) -> tuple[Decisions, Planned, dict[str, shapes.Layers]]:
     """Return decisions, plan and changed layers after moving a mark; runs on another thread."""
     decisions = planning.moved(name, image, uv)
-    known = planned(decisions, views, planning.nail.found)
+    known = planned(decisions, views, planning.nail.found, planning.bone)
     layers = {image: {"wire": shapes.wire(known, image)} for image in ALL_NAMES}
     if any(spec.name == name and spec.group == "aid" for spec in decisions.specs):
         for shown, drawn in layers.items():
