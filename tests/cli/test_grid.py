@@ -61,3 +61,27 @@ def test_a_stretched_sheet_is_refused_and_nothing_is_written(run, tmp_path: Path
     told = run("grid", image, "--pitch", 5, "--out", tmp_path / "map.json")
     assert told.code == 3 and "stretched" in told.said
     assert not (tmp_path / "map.json").exists()
+
+
+def test_runs_are_undistorted_by_the_map(run, image: Path, tmp_path: Path) -> None:
+    """The sheet's own image becomes regular; the same call again writes nothing."""
+    assert run("grid", image, "--pitch", 5, "--out", tmp_path / "map.json").code == 0
+    call = ("undistort", "--map", tmp_path / "map.json", image, "--out", tmp_path / "out", "--json")
+    told = run(*call)
+    assert told.code == 0, told.err
+    assert (told.document["frames"], told.document["already"]) == ([1], 0)
+    again = run("grid", told.document["files"][0], "--pitch", 5, "--out", tmp_path / "again.json", "--json").document
+    assert again["largest_distortion_px"] < 0.3 < sl.load(tmp_path / "map.json").document()["largest_distortion_px"]
+    assert again["spacing_mm"] == pytest.approx(told.document["spacing_mm"], rel=1e-3)
+    assert run(*call).document["already"] == 1
+
+
+@pytest.mark.parametrize("more", [("--frame", "gamma"), ("--spacing", 0.2)])
+def test_a_map_and_beads_exclude_each_other(run, image: Path, tmp_path: Path, more: tuple[object, ...]) -> None:
+    told = run("undistort", "--map", tmp_path / "map.json", image, "--out", tmp_path / "out", *more)
+    assert told.code == 2 and "needs no beads" in told.said
+
+
+def test_several_images_need_a_map(run, image: Path, tmp_path: Path) -> None:
+    told = run("undistort", image, image, "--out", tmp_path / "out")
+    assert told.code == 2 and "one image with beads" in told.said

@@ -37,6 +37,7 @@ _FILES = (  # in the order in which `sightline --help` lists their commands
     "plan",
     "check_shot",
     "biplane.grid",
+    "biplane.undistort",
     "biplane.reconstruct",
     "twin.simulate",
     "bone.render",

@@ -1,6 +1,5 @@
-"""`sightline calibrate` and `undistort`: one view from its own beads, and its image without distortion."""
+"""`sightline calibrate` and `detect`: one view from its own beads, and the beads of an image."""
 
-from io import BytesIO
 from math import hypot, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,15 +13,12 @@ from sightline.cli.base import (
     LabellingOptions,
     Method,
     Output,
-    Spacing,
-    as_json,
     command,
     commands,
     frame_of_images,
 )
 
 if TYPE_CHECKING:
-    from sightline.calibration.maps.undistort import PlaneImage
     from sightline.case.views import ObservedView
     from sightline.detection import Detections
     from sightline.frame import Frame
@@ -85,51 +81,6 @@ def calibrate(
     output.failures(calibrated.view.checks)
     _show(output, document)
     output.result(document, calibrated.view.checks)
-
-
-@command(commands, "undistort", "sightline undistort out/demo/demo_pa.dcm --out out/undistorted")
-def undistort(
-    output: Output,
-    *,
-    image: Annotated[Path, typer.Argument(help="Image file.")],
-    out: Annotated[Path, typer.Option(help="Folder for plate.png, map.npz and map.json.")],
-    labelling: LabellingOptions,
-    spacing: Spacing = None,
-) -> None:
-    """Remove the distortion from an image.
-
-    The image is resampled to the plane of its XRII plate; image and map are written (docs/undistort.md).
-    """
-    from sightline.calibration import calibrate
-    from sightline.calibration.maps.undistort import undistort as resample
-    from sightline.errors import UnusableInputError
-
-    if image.suffix.lower() == ".csv":
-        raise UnusableInputError("a CSV file has no pixels to resample; give the image")
-    frame = frame_of_images(output, labelling.frame)
-    frame.refuse_solid("its images come from flat panels, which have no distortion to remove")
-    with output.step("finding and labelling the beads"):
-        seen = see(image, frame, labelling)
-    with output.step("calibrating (smooth)"):
-        view = calibrate(seen.observations, frame, labelling.view)
-    with output.step("resampling"):
-        assert seen.image is not None  # noqa: S101 - it is not a CSV file
-        plane_image = resample(seen.image.pixels, view.plane_map, view.hull, spacing)
-    document: dict[str, Any] = {  # map.json, docs/undistort.md
-        "source": seen.source,
-        "view": view.name,
-        "units": "mm",
-        "shape": plane_image.pixels.shape,
-        "origin_mm": plane_image.origin_mm,
-        "spacing_mm": plane_image.spacing_mm,
-        "plane": {"origin_mm": view.plane.origin_mm, "axes": view.plane.axes},
-        "focal_point_mm": view.focal_point_mm,
-    }
-    files = _write(out, plane_image, document)
-    height, width = plane_image.pixels.shape
-    output.say(f"{width} x {height} pixels of {plane_image.spacing_mm:.4f} mm on the XRII plate of view {view.name}")
-    output.written(files)
-    output.result(document | {"files": files}, view.checks)
 
 
 def see(path: Path, frame: "Frame", labelling: LabellingOptions) -> "ObservedView":
@@ -211,26 +162,6 @@ def _show(output: Output, document: dict[str, Any]) -> None:
             )
             for bead in worst[:_SHOWN]
         ],
-    )
-
-
-def _write(folder: Path, image: "PlaneImage", document: dict[str, Any]) -> list[Path]:
-    import cv2
-    import numpy as np
-
-    from sightline.common.atomic import write_folder
-
-    arrays = BytesIO()
-    np.savez_compressed(
-        arrays, uv_px=image.uv_px, inside_hull=image.inside_hull, origin_mm=image.origin_mm, spacing_mm=image.spacing_mm
-    )
-    return write_folder(
-        folder,
-        {
-            "plate.png": cv2.imencode(".png", image.pixels)[1].tobytes(),
-            "map.npz": arrays.getvalue(),
-            "map.json": as_json(document).encode(),
-        },
     )
 
 
