@@ -33,11 +33,11 @@ def _matrix(angle_deg: float) -> np.ndarray:
 MATRICES = {"cam1": _matrix(1.9), "cam2": _matrix(-83.7)}
 
 
-def _image(matrix: np.ndarray) -> np.ndarray:
+def _image(matrix: np.ndarray, balls: np.ndarray) -> np.ndarray:
     """Beer's law through the balls along the ray of each pixel near them, with quantum noise."""
     source = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
     path = np.zeros(SHAPE)
-    for ball in BALLS_MM:
+    for ball in balls:
         u, v, w = matrix @ np.append(ball, 1.0)
         rows, columns = (np.arange(int(x / w) - 30, int(x / w) + 31) for x in (v, u))
         uu, vv = np.meshgrid(columns, rows)
@@ -57,7 +57,7 @@ def cube(run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = ["x , y , z", *(" , ".join(f"{x:.4f}" for x in ball) for ball in BALLS_MM)]
     (folder / "cube.csv").write_text("\n".join(rows) + "\n")
     for name, matrix in MATRICES.items():
-        cv2.imwrite(str(folder / f"{name}.png"), _image(matrix))
+        cv2.imwrite(str(folder / f"{name}.png"), _image(matrix, BALLS_MM))
         given = (folder / f"{name}.png", "--frame", folder / "cube.csv", "--view", name)
         ran = run("calibrate", *given, "--views", folder / "views.json", "--json")
         assert ran.code == 0, ran.out
@@ -81,6 +81,40 @@ def test_two_images_of_a_cube_and_tracked_points_give_their_places(run, cube: Pa
     sd = np.array([[float(row[f"{a}{a}_mm2"]) ** 0.5 for a in "xyz"] for row in rows])
     assert np.abs(off).max() < 0.25  # balls are found to 0.05 px, 0.006 mm, and their magnification in depth
     assert (np.abs(off) < 4.0 * sd).all()
+
+
+BODY_MM = np.array([[0.0, 0.0, 0.0], [17.3, 2.1, -1.4], [4.8, 21.9, 3.3], [-6.2, 8.7, 14.1]])
+POSES = [Rotation.from_euler("xyz", [15.0 * k - 20.0, 9.0 * k, 31.0], degrees=True) for k in range(3)]
+
+
+@pytest.mark.parametrize("learnt", [True, False])
+def test_a_body_is_followed_and_a_frame_with_a_hidden_ball_has_no_pose(
+    run, cube: Path, tmp_path: Path, *, learnt: bool
+) -> None:
+    shift = np.array([[3.1, -5.2, 4.4], [4.7, -3.9, 2.8], [6.0, -2.2, 1.1]])
+    for name, matrix in MATRICES.items():
+        (tmp_path / name).mkdir()
+        for k, (turn, middle) in enumerate(zip(POSES, shift, strict=True)):
+            balls = (turn.apply(BODY_MM) + middle)[1 if (k, name) == (1, "cam2") else 0 :]
+            cv2.imwrite(str(tmp_path / name / f"{k}.png"), _image(matrix, balls))
+    rows = ["id,x_mm,y_mm,z_mm,sd_mm", *(f"b{k},{x},{y},{z},0.02" for k, (x, y, z) in enumerate(BODY_MM))]
+    (tmp_path / "body.csv").write_text("\n".join(rows) + "\n")
+    given = (tmp_path / "cam1", tmp_path / "cam2", "--views", cube / "views.json", "--out", tmp_path / "poses.csv")
+    ran = run("balls", *given, *(() if learnt else ("--body", tmp_path / "body.csv")), "--json")
+    assert ran.code == 0, ran.out
+    with (tmp_path / "poses.csv").open(encoding="utf-8", newline="") as stream:
+        found = list(csv.DictReader(stream))
+    assert [row["reason"] for row in found] == ["", "a ball is hidden", ""]
+    assert found[1]["x_mm"] == ""
+    turns = [Rotation.from_quat([float(row[q]) for q in ("qx", "qy", "qz", "qw")]) for row in (found[0], found[2])]
+    moved = POSES[2] * POSES[0].inv()
+    assert (turns[1] * turns[0].inv() * moved.inv()).magnitude() < 0.01  # 0.1 mm over 14 mm, and much to spare
+    middles = np.array([[float(row[f"{a}_mm"]) for a in "xyz"] for row in (found[0], found[2])])
+    truth = np.array([POSES[k].apply(BODY_MM).mean(axis=0) + shift[k] for k in (0, 2)])
+    np.testing.assert_allclose(middles, truth, atol=0.2)  # the depth of the views, from balls of one size
+    assert ran.document["poses"] == 2 and ran.document["precision_mm"] < 0.043
+    (tmp_path / "cam2" / "2.png").unlink()
+    assert "fewer frames" in run("balls", *given).said
 
 
 def test_a_view_of_the_same_name_is_replaced_and_another_file_kept(run, cube: Path, tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ _FILES = (  # in the order in which `sightline --help` lists their commands
     "biplane.grid",
     "biplane.undistort",
     "biplane.reconstruct",
+    "biplane.balls",
     "twin.simulate",
     "bone.render",
     "bone.register_bone",

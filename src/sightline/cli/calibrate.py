@@ -1,5 +1,6 @@
 """`sightline calibrate` and `detect`: one view from its own beads, and the beads of an image."""
 
+from dataclasses import dataclass
 from math import hypot, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,6 +28,19 @@ if TYPE_CHECKING:
 _SHOWN = 10  # beads in the table; --json has them all
 
 
+@dataclass(frozen=True)
+class CalibrationFiles:
+    """What a calibration writes."""
+
+    csv: Annotated[Path | None, typer.Option(help="Write the labelled beads to this CSV file.")] = None
+    picture: Annotated[
+        Path | None, typer.Option(help="Write a PNG of the image with each bead's residual as an arrow.")
+    ] = None
+    views: Annotated[
+        Path | None, typer.Option(help="Put the view into this JSON file, beside those of other images.")
+    ] = None
+
+
 @command(commands, "calibrate", "sightline calibrate out/demo/demo_pa.dcm --picture out/residuals.png")
 def calibrate(
     output: Output,
@@ -39,13 +53,7 @@ def calibrate(
         typer.Option(help="Whether the image is shown mirrored: writing in it reads backwards.", show_default=False),
     ] = None,
     distances: Distances,
-    csv: Annotated[Path | None, typer.Option(help="Write the labelled beads to this CSV file.")] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Write a PNG of the image with each bead's residual as an arrow.")
-    ] = None,
-    views: Annotated[
-        Path | None, typer.Option(help="Put the view into this JSON file, beside those of other images.")
-    ] = None,
+    written: CalibrationFiles,
 ) -> None:
     """Calibrate one view from its own beads.
 
@@ -61,8 +69,8 @@ def calibrate(
     frame = frame_of_images(output, labelling.frame)
     with output.step("finding and labelling the beads"):
         seen = see(image, frame, labelling)
-    if csv is not None:
-        write_observations([seen.observations], csv)
+    if written.csv is not None:
+        write_observations([seen.observations], written.csv)
     # Before the calibration: where that is refused for want of beads, this says how to get them.
     advice = None if frame.solid else _advise(seen, frame)
     for sentence in advice["sentences"] if advice else ():
@@ -74,10 +82,10 @@ def calibrate(
     left = calibrated.view.residuals
     for bead, error, known in zip(document["beads"], left.leave_one_out_mm, left.predicted, strict=True):
         bead["leave_one_out_mm"] = error.tolist() if known else None
-    if picture is not None:
-        write_whole(picture, calibrated.view.png())
-    if views is not None:
-        output.say(f"{views.name} holds {', '.join(add_view(calibrated.view, views))}")
+    if written.picture is not None:
+        write_whole(written.picture, calibrated.view.png())
+    if written.views is not None:
+        output.say(f"{written.views.name} holds {', '.join(add_view(calibrated.view, written.views))}")
     output.failures(calibrated.view.checks)
     _show(output, document)
     output.result(document, calibrated.view.checks)
