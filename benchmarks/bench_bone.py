@@ -102,8 +102,11 @@ def right_rows(rows: Rows, scenes: Sequence[dict[str, Record]]) -> None:
         for key, (what, unit, limit) in limits.items() if trusted else ():
             value = np.quantile([each[key] for each in trusted], 0.95)
             rows.number(f"{name}: {what}, 95 % of {len(trusted)} trusted", value, ".3f", unit, most=limit)
-    said = ["said" in each for each in of_way(scenes, "one view")]
-    rows.add("one view alone: refused", f"{sum(said)} of {len(said)}", "all", all(said))
+    alone = np.concatenate([each["alone"] for each in of_way(scenes, "own", trusted=True)])
+    text = "one view alone: error along its beam"
+    for name, column in {text: 0, f"{text}, stated 95 % bound": 1}.items():
+        rows.number(f"{name}, median of {len(alone)}", np.median(alone[:, column]), ".2f", "mm")
+    rows.number(f"{text}: inside the bound", 100 * np.mean(alone[:, 0] <= alone[:, 1]), ".1f", "%")
 
 
 def refusal_rows(rows: Rows, scenes: Sequence[dict[str, Record]]) -> None:

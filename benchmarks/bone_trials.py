@@ -15,7 +15,7 @@ from sightline.calibration import CalibratedView, view_from_matrix
 from sightline.common.geometry.lines import across, unit
 from sightline.errors import SightlineError
 from sightline.from_images.ct_wire import ct_wire
-from sightline.from_images.registration import BoneStart, ScannedBone, register_bone
+from sightline.from_images.registration import BonePose, BoneStart, ScannedBone, register_bone
 from sightline.from_images.registration.align import moved
 from sightline.from_images.registration.clicks import start_of_clicks
 from sightline.imaging import Radiograph
@@ -53,7 +53,6 @@ def right_trial(k: int) -> dict[str, Record]:
         ways["2 mm"] = ScannedBone.of_ct(halved(scene.ct)), images, exact, near
         if scene.strata["anatomy"] == "femur":
             ways["head"] = bone, head_alone(scene), exact, near
-    ways["one view"] = bone, images[:1], views[:1], near
     ways["clicks"] = bone, images, views, partial(clicked, scene, views, rng)
     return {"strata": scene.strata} | {way: registered(scene, *given) for way, given in ways.items()}
 
@@ -107,7 +106,7 @@ def registered(
     start: BoneStart | Callable[[], BoneStart] | None,
 ) -> Record:
     """Return errors of a pose: `error_mm` mean of the targets, `turn_deg`, squared lengths over the stated error of the
-    pose and of the targets; whether it is trusted, and the failed checks. "said": why there is none."""
+    pose and of the targets; whether it is trusted, and the failed checks; `along_beams`. "said": why there is none."""
     try:
         found = register_bone(bone, images, views, start() if callable(start) else start)
     except SightlineError as refusal:
@@ -127,7 +126,19 @@ def registered(
         "wire2": mahalanobis2(ends.xyz_mm - scene.pose.apply(scene.bone_points_mm), ends.covariance_mm2),
         "trusted": found.trusted,
         "failed": [check.name for check in found.checks if not check.passed],
+        "alone": along_beams(scene, found),
     }
+
+
+def along_beams(scene: BoneScene, found: BonePose) -> np.ndarray:
+    """Return of each view's own pose (V, 2) the error at the bone's centre along its beam, and its stated bound, mm."""
+    centre = found.bone.centre_mm
+    truth, rows = scene.pose.apply(centre), []
+    for view in found.views:
+        beam = truth - view.focal_point_mm
+        off = RigidTransform.from_matrix(view.own_matrix).apply(centre) - truth
+        rows.append([abs(off @ beam) / np.linalg.norm(beam), view.along_beam_95_mm])
+    return np.array(rows, dtype=np.float64)
 
 
 def fault_trial(k: int) -> Record:

@@ -143,7 +143,7 @@ def _edges_are_silhouettes(found: FoundBone) -> None:
 def test_its_checks_are_of_the_plan_while_its_images_are_there(session: Session) -> None:
     """Of the plan and of what the case records of it, not only of what the page shows."""
     planning, moved = session.planning, Check("bone movement", False, 7.1, 5.3, "s.d.", "Moved.")
-    views = tuple(BoneView(view.name, view.focal_point_mm, "0" * 64) for view in balls.Scene().views)
+    views = tuple(BoneView(view.name, view.focal_point_mm, "0" * 64, np.eye(4), 1.5) for view in balls.Scene().views)
     pose = RegisteredBone(balls.POSE.as_matrix(), np.zeros(3), np.eye(6), (moved,), views, "1" * 64)
     session.bone._found = FoundBone({"pa": 11, "lateral": 12}, pose.document(), "95 % error 0.4 mm", (vars(moved),), {})
     for name, at in {"entry": AT["shaft"], "end": AT["head"]}.items():

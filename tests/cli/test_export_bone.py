@@ -26,7 +26,9 @@ FLOAT32_MM = 2e-5  # TRANSFORM has 32 bits
 def pose(tmp_path: Path) -> Callable[..., Path]:
     def made(*, passed: bool = True) -> Path:
         check = Check("bone movement", passed, 1.0, 5.3, "s.d.", "Moved." if not passed else "At rest.")
-        views = tuple(BoneView(name, np.array([1.0, 2.0, 620.0]), "0" * 64) for name in ("pa", "lateral"))
+        views = tuple(
+            BoneView(name, np.array([1.0, 2.0, 620.0]), "0" * 64, np.eye(4), 1.5) for name in ("pa", "lateral")
+        )
         bone = RegisteredBone(MATRIX, MATRIX[:3, 3], np.eye(6), (check,), views, "1" * 64)
         return sl.save(bone, tmp_path / "bone-pose.json")
 

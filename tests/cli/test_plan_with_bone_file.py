@@ -32,7 +32,7 @@ def registration(
     """What a registration in both images leaves, known to 0.1 mm and 0.06° (1 s.d.)."""
     images = calibrate_pair(see_pair(files["pa"], files["lateral"], frame), frame, "smooth")
     views = tuple(
-        BoneView(image.name, image.view.focal_point_mm, sl.read_image(files[image.name]).pixels_sha256)
+        BoneView(image.name, image.view.focal_point_mm, sl.read_image(files[image.name]).pixels_sha256, np.eye(4), 1.5)
         for image in images
     )
     of_views = [check.of_view(image.name) for image in images for check in image.view.checks]

@@ -54,6 +54,15 @@ def test_no_start_is_needed() -> None:
     assert errors_mm(pose).max() < 0.3
 
 
+def test_each_view_alone_states_its_error_along_the_beam() -> None:
+    pose = found()
+    for view in pose.views:
+        own, truth = (matrix.apply(np.zeros(3)) for matrix in (RigidTransform.from_matrix(view.own_matrix), balls.POSE))
+        beam = (truth - view.focal_point_mm) / np.linalg.norm(truth - view.focal_point_mm)
+        assert abs((own - truth) @ beam) < 2 * view.along_beam_95_mm
+        assert pose.error_95_mm < view.along_beam_95_mm < 8.0, pose
+
+
 def test_three_views_are_as_good_as_two() -> None:
     scene = balls.Scene((*balls.Scene().views, balls.view("oblique", 45.0)), (balls.POSE,) * 3)
     pose = register_bone(balls.bone(), scene.images(), scene.views, start(3))

@@ -216,4 +216,4 @@ def registered(
         for name, shot in zip(numbers, found.shots, strict=True)
     }
     own = [vars(check) for check in found.checks if check not in of_views]
-    return FoundBone(dict(numbers), found.document(), found.sentences()[-1].strip(), tuple(own), edges)
+    return FoundBone(dict(numbers), found.document(), found.error_sentence(), tuple(own), edges)

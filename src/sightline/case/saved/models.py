@@ -17,6 +17,8 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 Pixel = tuple[Number, Number]
 Point = tuple[Number, Number, Number]
 Covariance = tuple[Pixel, Pixel]
+_Row = tuple[Number, Number, Number, Number]
+_Matrix = tuple[_Row, _Row, _Row, _Row]
 _Six = tuple[Number, Number, Number, Number, Number, Number]
 Shape = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
 Site = Annotated[int, Field(ge=-4096, le=4096)]  # of a lattice: more than an image of the largest size can show
@@ -166,13 +168,15 @@ class BoneViewDocument(BaseModel):
     view: str
     focal_point_mm: Point
     pixels_sha256: str
+    own_matrix: _Matrix
+    along_beam_95_mm: Number | None
 
 
 class SavedBonePose(_Saved):
     """Where a bone lies in calibrated images, as `RegisteredBone`: bone-pose.json of `sightline register-bone`."""
 
     schema_: Annotated[Literal["sightline-bone-pose/1"], Field(alias="schema")]
-    matrix: Annotated[tuple[tuple[Number, Number, Number, Number], ...], Field(min_length=4, max_length=4)]
+    matrix: _Matrix
     centre_mm: Point
     covariance: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None
     checks: Annotated[tuple[CheckDocument, ...], Field(min_length=1, max_length=200)]

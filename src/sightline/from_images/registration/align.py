@@ -16,6 +16,7 @@ from sightline.from_images.registration.similarity import WINDOW, Normalised, bl
 IMAGE_FLOOR, SHADOW_FLOOR = 0.01, 0.3  # of the local s.d. of attenuation [ours]
 FLAT = 0.05  # local s.d. of the shadow's attenuation at which a pixel has half its weight [ours]
 _SCALE = 0.7  # of a normalised difference beyond which it counts less [ours]
+_UNRELATED = 0.6  # mean loss of two normalised images of white noise
 _LEAST_AREA = 0.3  # of a window [ours]
 _BLOCK_PX = 12  # of the shifts of edges: a window and its surroundings [ours]
 _LEAST_INFORMATION = 0.3  # of a direction in a block, 1/px²: less does not tell a shift [ours]
@@ -93,6 +94,11 @@ class BoneFit:
         """Mean of the weighted losses of all pixels, 0 to 1."""
         weight = sum(float(view.weight.sum()) for view in self.views)
         return sum(view.loss for view in self.views) / weight if weight > 0 else 1.0
+
+    @property
+    def evidence(self) -> float:
+        """How much less all pixels differ than those of unrelated images; few pixels may be alike by chance."""
+        return sum(_UNRELATED * float(view.weight.sum()) - view.loss for view in self.views)
 
     def normal_equations(self) -> tuple[np.ndarray, np.ndarray]:
         """Return matrix (6, 6) and right side (6,) of a Gauss-Newton step, in multiples of _UNIT."""

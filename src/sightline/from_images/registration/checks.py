@@ -23,7 +23,7 @@ MIN_RIVAL_SHARE = 1.1
 # Three quarters of all edges lie at most so far from those of the image. Right bones have up to 0.4 mm, beside metal
 # and in images of an intensifier; another person's, or the same scaled by 2 %, 0.5 to 1 mm [gVirtualXray].
 MAX_EDGE_MM, _EDGES = 0.45, 0.75
-MIN_IN_FIELD = 0.4  # of the bone, in each view [ours]: the head of a femur is 0.4 of a scan of 100 mm
+MIN_IN_FIELD = 0.2  # of the bone, in each view [ours]: the head of a femur is 0.3 of a scan of 140 mm
 
 
 def checks(

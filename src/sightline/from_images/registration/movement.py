@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
+from scipy.special import ndtri
 
 from sightline.from_images.registration import errors
 from sightline.from_images.registration.align import FINE, BoneFit, align
@@ -15,15 +17,18 @@ from sightline.from_images.registration.observed import BoneShot
 # femur's shaft, as blur and threshold leave them [gVirtualXray: chi-squares of single views' poses are then 1.3 of what
 # they should be].
 _SIZE_SD = 0.002
+_SIGMA_95 = float(ndtri(0.975))
 
 
 @dataclass(frozen=True, eq=False)
 class Apart:
-    """Poses of the bone in V single views less their common pose: `steps` (V, 6), rotation vector about its centre and
-    shift, mm, with the joint `covariance` (6V, 6V)."""
+    """Poses of the bone in V single views, less their common pose: `steps` (V, 6), rotation vector about its centre and
+    shift, mm, with the joint `covariance` (6V, 6V); `along_beam_95_mm` of each view, as in `BoneView`."""
 
+    poses: Sequence[RigidTransform]
     steps: np.ndarray
     covariance: np.ndarray
+    along_beam_95_mm: Sequence[float | None]
 
     @property
     def freedom(self) -> int:
@@ -43,9 +48,10 @@ def apart(shots: Sequence[BoneShot], bone: ScannedBone, fit: BoneFit) -> Apart:
     centre, spread = fit.pose.apply(bone.centre_mm), fit.pose.rotation.apply(bone.spread_mm)
     count = len(shots)
     steps, covariance = np.zeros((count, 6)), np.zeros((6 * count, 6 * count))
-    size = np.zeros((count, 6))
+    size, poses, along = np.zeros((count, 6)), list[RigidTransform](), list[float | None]()
     for k, shot in enumerate(shots):
         own = align([shot], bone, FINE, fit.pose)
+        poses.append(own.pose)
         change = own.pose * fit.pose.inv()
         steps[k] = np.concatenate([change.rotation.as_rotvec(), change.apply(centre) - centre])
         part = slice(6 * k, 6 * k + 6)
@@ -53,5 +59,9 @@ def apart(shots: Sequence[BoneShot], bone: ScannedBone, fit: BoneFit) -> Apart:
         calibration = errors.of_calibration([shot.view], centre, spread)
         if calibration is not None:
             covariance[part, part] += calibration
-        size[k, 3:] = _SIZE_SD * (centre - shot.view.focal_point_mm)
-    return Apart(steps, covariance + np.outer(size, size))
+        beam = centre - shot.view.focal_point_mm
+        size[k, 3:] = _SIZE_SD * beam
+        way = np.append(np.zeros(3), beam / np.linalg.norm(beam))
+        variance = way @ (covariance[part, part] + np.outer(size[k], size[k])) @ way
+        along.append(None if calibration is None else float(_SIGMA_95 * np.sqrt(variance)))
+    return Apart(poses, steps, covariance + np.outer(size, size), along)

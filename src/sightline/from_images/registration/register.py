@@ -65,7 +65,10 @@ def register_bone(
         covariance=None if calibration is None else shown + calibration,
         apart=between,
         checks=(*(check.of_view(view.name) for view in views for check in view.checks), *own),
-        views=tuple(BoneView(s.view.name, s.view.focal_point_mm, s.image.pixels_sha256) for s in shots),
+        views=tuple(
+            BoneView(shot.view.name, shot.view.focal_point_mm, shot.image.pixels_sha256, own.as_matrix(), along)
+            for shot, own, along in zip(shots, between.poses, between.along_beam_95_mm, strict=True)
+        ),
         volume_sha256=bone.sha256,
         bone=bone,
         shots=tuple(shots),

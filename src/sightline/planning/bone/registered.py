@@ -18,15 +18,22 @@ from sightline.errors import ErrorUnknownError, UnusableInputError
 # Focal points of one image, calibrated twice, differ by less [as `_SAME_VIEW_MM` of saved views]; of two images, by
 # 0.1 mm and more, as their noise does.
 _SAME_VIEW_MM = 1e-3
+_ARRAYS = "focal_point_mm", "own_matrix"  # of a BoneView
 
 
 @dataclass(frozen=True, eq=False)
 class BoneView:
-    """A view that a bone was registered to: its name, its focal point (3,), CFCS, and a hash of its image's pixels."""
+    """A view that a bone was registered to: its name, its focal point (3,), CFCS, and a hash of its image's pixels.
+
+    `own_matrix` (4, 4): the bone's pose as this view alone shows it; `along_beam_95_mm`: 95 % bound of its error along
+    the beam, None where the view's error is unknown.
+    """
 
     view: str
     focal_point_mm: np.ndarray
     pixels_sha256: str
+    own_matrix: np.ndarray
+    along_beam_95_mm: float | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,7 +62,7 @@ class RegisteredBone(Shown):
             covariance=None if covariance is None else np.array(covariance, dtype=np.float64),
             checks=tuple(Check.of(check) for check in document["checks"]),
             views=tuple(
-                BoneView(seen["view"], np.array(seen["focal_point_mm"], dtype=np.float64), seen["pixels_sha256"])
+                BoneView(**seen | {name: np.array(seen[name], dtype=np.float64) for name in _ARRAYS})
                 for seen in document["views"]
             ),
             volume_sha256=document["volume_sha256"],
@@ -152,15 +159,23 @@ class RegisteredBone(Shown):
     def sentences(self) -> list[str]:
         """Return the pose with its error."""
         turn = np.rad2deg(self.pose.rotation.as_rotvec())
-        error = "error unknown"
-        if self.covariance is not None:
-            sd = np.rad2deg(np.sqrt(np.diag(self.covariance)[:3]).max())
-            error = f"95 % error {self.error_95_mm:.2f} mm at its centre; rotation to {1.96 * sd:.2f}°"
         return [
             f"Bone in {len(self.views)} views: {', '.join(seen.view for seen in self.views)}",
             f"  centre {numbers(self.centre_mm, 2)} mm, CFCS; rotation vector {numbers(turn, 2)}°",
-            f"  {error}",
+            f"  {self.error_sentence()}",
+            *(
+                f"  {seen.view} alone: to {seen.along_beam_95_mm:.1f} mm along its beam (95 %)"
+                for seen in self.views
+                if seen.along_beam_95_mm is not None
+            ),
         ]
+
+    def error_sentence(self) -> str:
+        """Return the 95 % bounds of the pose's error."""
+        if self.covariance is None:
+            return "error unknown"
+        sd = np.rad2deg(np.sqrt(np.diag(self.covariance)[:3]).max())
+        return f"95 % error {self.error_95_mm:.2f} mm at its centre; rotation to {1.96 * sd:.2f}°"
 
     def document(self) -> dict[str, Any]:
         """Return pose, error, checks and views as JSON types; `matrix` is 4 x 4, mm."""
@@ -171,7 +186,7 @@ class RegisteredBone(Shown):
             "covariance": None if self.covariance is None else self.covariance.tolist(),
             "trusted": self.trusted,
             "checks": [vars(check) for check in self.checks],
-            "views": [{**vars(seen), "focal_point_mm": seen.focal_point_mm.tolist()} for seen in self.views],
+            "views": [vars(seen) | {name: getattr(seen, name).tolist() for name in _ARRAYS} for seen in self.views],
             "volume_sha256": self.volume_sha256,
         }
 
