@@ -144,7 +144,10 @@ def along_beams(scene: BoneScene, found: BonePose) -> np.ndarray:
 def fault_trial(k: int) -> Record:
     """Return what a scan or a bone with a fault gave with exact views; by turns one fault, or a bone that moved."""
     fault = (*FAULTS, "moved")[k % (len(FAULTS) + 1)]
-    scene = draw_bone_scene(FAULT_SEED + k, chain="panel", fault=None if fault == "moved" else fault)
+    sided = ("femur", "pelvis")[k // 2 % 2] if fault == "mirrored" else None  # a vertebra has no other side
+    scene = draw_bone_scene(
+        FAULT_SEED + k, anatomy_name=sided, chain="panel", fault=None if fault == "moved" else fault
+    )
     rng, bone, views = np.random.default_rng([FAULT_SEED, k]), ScannedBone.of_ct(scene.ct), scene.exact_views()
     if fault == "moved":
         way = rng.standard_normal(3)

@@ -19,7 +19,7 @@ from sightline.app.plan.planner import request_of
 from sightline.app.session.bone import MAX_POINTS
 from sightline.app.session.session import Session
 from sightline.app.tab.placing import Placing, ProcedureStep
-from sightline.case.journal import Actor
+from sightline.case.journal import Actor, Kind
 from sightline.case.views import NAMES
 from sightline.common.checks import Check, CheckCode, failed
 from sightline.errors import SightlineError, UnusableInputError
@@ -158,6 +158,12 @@ def test_its_checks_are_of_the_plan_while_its_images_are_there(session: Session)
     assert known is not None and known.verdict is not None and known.verdict.state == "no-go"
     kept = request_of(known.decisions, 2, known.bone).bone
     assert kept is not None and kept.checks == (moved,)
+    assert known.plan is not None
+    sent = {"decisions": known.decisions.document(), "trajectory": known.plan.trajectory.document()}
+    planning.case.record(Kind.SENT, sent, by=Actor.SURGEON)
+    asyncio.run(planning._restore_sent())  # as after a restart
+    (restored,) = planning.all_sent.values()
+    assert [check for check in restored.plan.verdict.checks if check.code is CheckCode.BONE_MOVEMENT] == [moved]
     planning.decide(images={"pa": 11, "lateral": 13})
     assert session.bone.accepted is None and _movements(session) == []
     planning.undo()

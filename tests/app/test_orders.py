@@ -62,7 +62,7 @@ def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[
         monkeypatch.setattr(module, name, lambda *_, **__: stub)
     decisions = Decisions(images={"pa": 1, "lateral": 2}, side="right", serial="1")
     plan = SimpleNamespace(trajectory=stub, kind=kind("hip-screw"))
-    known: Any = SimpleNamespace(plan=plan, decisions=decisions, views=())
+    known: Any = SimpleNamespace(plan=plan, decisions=decisions, views=(), bone=None)
     case: Any = SimpleNamespace(number="C", last=1, record=record)
     planning: Any = _Planning(case, known)
     age: Any = SimpleNamespace(now_s=1.0)

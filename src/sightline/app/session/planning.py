@@ -165,8 +165,10 @@ class Planning:
         """The bone's pose that a person accepted; None without one, and for other images than it was found in.
 
         Raises CaseError."""
-        number = self.decisions.bone
-        found = None if number is None else _found_bone(self.case, number)
+        return self._accepted_in(self.decisions)
+
+    def _accepted_in(self, decisions: Decisions) -> FoundBone | None:
+        found = None if decisions.bone is None else _found_bone(self.case, decisions.bone)
         return found if found is not None and self.shows(found) else None
 
     def shows(self, bone: FoundBone) -> bool:
@@ -176,7 +178,10 @@ class Planning:
     @property
     def bone(self) -> BoneInViews | None:
         """The accepted bone in the views that it was registered to; None without one."""
-        accepted = self.accepted_bone
+        return self._bone_of(self.decisions)
+
+    def _bone_of(self, decisions: Decisions) -> BoneInViews | None:
+        accepted = self._accepted_in(decisions)
         if accepted is None:
             return None
         views = [seen.view for seen in map(self.seen, self.names) if seen is not None]
@@ -424,7 +429,7 @@ class Planning:
         if views is None or self.all_sent:
             return
         try:
-            before = await asyncio.to_thread(restored, self.case, self.decisions, views, self._holes_of)
+            before = await asyncio.to_thread(restored, self.case, self.decisions, views, self._holes_of, self._bone_of)
         except SightlineError as error:
             self.jobs.trouble = str(error)
             return

@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from sightline.app.plan.decisions import Decisions
+from sightline.app.plan.found_bone import BoneInViews
 from sightline.app.plan.marks import MarkSpec, names_of
 from sightline.app.plan.planner import (
     PICK_SD_PX,
@@ -110,17 +111,18 @@ def restored(
     decisions: Decisions,
     views: tuple[BeadView, ...],
     holes_of: Callable[[Decisions], HolesFound | None] = lambda then: None,
+    bone_of: Callable[[Decisions], BoneInViews | None] = lambda then: None,
 ) -> dict[str, tuple[SentPlan, DrilledWire | None]]:
     """Return what was sent and drilled on these images before the program ended, the last of each wire, by kind, from
-    the journal. `holes_of`: finds the holes of a nail. Raises UnusableInputError if the same decisions now give another
-    plan."""
+    the journal. `holes_of`: finds the holes of a nail; `bone_of`: the accepted bone. Raises UnusableInputError if the
+    same decisions now give another plan."""
     sent: dict[str, Entry] = {}
     for entry in case.entries(Kind.SENT):
         then = Decisions.of(entry.content["decisions"])
         if all(then.images.get(name) == decisions.images.get(name) for name in ALL_NAMES):
             sent[then.kind] = entry
     made = {kind: Decisions.of(entry.content["decisions"]) for kind, entry in sent.items()}
-    again = {kind: planned(then, views, holes_of(then)) for kind, then in made.items()}
+    again = {kind: planned(then, views, holes_of(then), bone_of(then)) for kind, then in made.items()}
     return {kind: _restored(case, entry, again[kind]) for kind, entry in sent.items()}
 
 
