@@ -76,7 +76,7 @@ def test_undistorted_images_in_three_formats(run, pair, tmp_path: Path) -> None:
 
 def test_a_plan_in_every_format(run, planned: Path, pair, tmp_path: Path) -> None:
     document = json.loads((planned / "plan.json").read_text())
-    kinds = ["slicer", "itk", "dicom", "csv"] + (["igtl"] if document["go"] else [])
+    kinds = ["slicer", "mrb", "itk", "dicom", "csv"] + (["igtl"] if document["go"] else [])
     ran = run(
         "export", "plan", planned, "--to", ",".join(kinds), "--side", "left", "--case", "c-1", "--out", tmp_path,
         "--original", f"pa:{pair['pa']}", "--json",

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from sightline.case.views import ObservedView
 
 app = group("export", "Write files for other programs.")
-PLAN_FORMATS = ("slicer", "itk", "dicom", "csv", "igtl")
+PLAN_FORMATS = ("slicer", "mrb", "itk", "dicom", "csv", "igtl")
 
 
 @dataclass(frozen=True)
@@ -183,6 +183,7 @@ def _plan_files(
     identity = ExportIdentity(case, datetime.now().replace(microsecond=0), side)
     writers: dict[str, Callable[[PlanFile], dict[str, bytes]]] = {
         "slicer": lambda wire: slicer.write(wire, side),
+        "mrb": lambda wire: slicer.write_bundle(wire, side),
         "itk": lambda wire: itk_files(wire, side),
         "dicom": lambda wire: dicom.write(wire, identity, originals),
         "csv": lambda wire: csv_files(wire, side),

@@ -78,7 +78,15 @@ def test_every_file_of_the_scene_is_there_and_every_reference_leads_to_a_node(
         for reference in filter(None, node.get("references", "").split(";")):
             role, _, identity = reference.partition(":")
             assert role in ("display", "storage") and identity in nodes
-    for tag, count in (("MarkupsLine", 5), ("MarkupsFiducial", 1), ("Volume", 2), ("LinearTransform", 2), ("Slice", 2)):
+    for tag, count in (
+        ("MarkupsLine", 5),
+        ("MarkupsFiducial", 1),
+        ("Volume", 2),
+        ("LinearTransform", 2),
+        ("Slice", 2),
+        ("Model", 3),
+        ("Camera", 2),
+    ):
         assert len(root.findall(tag)) == count, tag
     for composite in root.findall("SliceComposite"):
         assert nodes[composite.get("backgroundVolumeID")].tag == "Volume"

@@ -1,17 +1,22 @@
-"""Files for 3D Slicer: the plan, lines of sight, beads, the undistorted images in space, and a scene that loads them.
+"""Files for 3D Slicer: the plan with its 95 % tube, lines of sight, beads, the undistorted images in space with the
+frusta of their views, and a scene that loads them; as a folder, or in one file.
 
-Everything is in patient LPS, mm, with the CFCS origin. Slicer uses RAS inside and converts the files on reading.
+Files are in patient LPS, mm, with the CFCS origin. Slicer uses RAS inside and converts the files on reading; the scene
+itself is in RAS.
 """
 
+import io
 from collections.abc import Sequence
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.interop.formats import T_cfcs_wire, T_lps_cfcs, transform_bytes
+from sightline.case.interop.models import frustum, model_bytes, tube
 from sightline.case.interop.plan_file import PlanFile
 from sightline.common.geometry.lines import unit
 from sightline.imaging.volumes.nrrd import nrrd_bytes
@@ -25,11 +30,10 @@ def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
     to_lps = T_lps_cfcs(side)
     description = f"{plan.statement}; {side} hip; LPS mm, origin of the calibration frame (CFCS)"
     files = _markups(plan, to_lps[:3, :3], description)
-    images = {}
+    files |= _models(plan, to_lps[:3, :3], description)
     for view, pinhole in plan.plates.items():
         pixels = plan.pixels(view)
         if pixels is not None:
-            images[view] = pinhole
             files[f"{view}-plate.nrrd"] = plate_bytes(pixels[0], pinhole, to_lps, description)
     # Slicer places objects by the inverse of the mapping in a file, so these files map to the wire and to CFCS.
     wire = to_lps @ T_cfcs_wire(plan.points_mm)
@@ -37,11 +41,30 @@ def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
         np.linalg.inv(wire), f"3D Slicer: places a wire (tip at its origin, +z); {description}"
     )
     files["cfcs.tfm"] = transform_bytes(np.linalg.inv(to_lps), f"3D Slicer: places what is in CFCS; {description}")
-    return files | {"scene.mrml": _scene(sorted(files), images, to_lps, description)}
+    return files | {"scene.mrml": _scene(sorted(files), plan, to_lps, description)}
+
+
+def write_bundle(plan: PlanFile, side: str | None) -> dict[str, bytes]:
+    """Return `plan.mrb`: the files of `write` and their scene in one zip file. Raises UnusableInputError as `write`."""
+    stream = io.BytesIO()
+    with ZipFile(stream, "w", ZIP_DEFLATED) as bundle:
+        for name, data in write(plan, side).items():
+            entry = ZipInfo(f"plan/{name}")  # its fixed date makes equal plans equal files
+            entry.external_attr = 0o644 << 16  # else programs on Unix extract files that nobody may read
+            bundle.writestr(entry, data, ZIP_DEFLATED)
+    return {"plan.mrb": stream.getvalue()}
+
+
+def _models(plan: PlanFile, rotation: np.ndarray, description: str) -> dict[str, bytes]:
+    """Return the frustum of each view, and the tube where the errors are known."""
+    models = {f"{view}-frustum.vtk": frustum(*_outline(pinhole)) for view, pinhole in plan.plates.items()}
+    if plan.errors_95_mm is not None:
+        models["tube-95.vtk"] = tube(plan.points_mm, plan.errors_95_mm)
+    return {name: model_bytes(places @ rotation.T, faces, description) for name, (places, faces) in models.items()}
 
 
 def _markups(plan: PlanFile, rotation: np.ndarray, description: str) -> dict[str, bytes]:
-    colour = GREEN if plan.go else RED
+    colour = _colour(plan)
     name = "planned wire" if plan.go else "NO-GO planned wire"
     points = plan.points_mm @ rotation.T
     files = {
@@ -67,8 +90,15 @@ def _markups(plan: PlanFile, rotation: np.ndarray, description: str) -> dict[str
     return files
 
 
-def _scene(names: list[str], images: dict[str, Pinhole], to_lps: np.ndarray, description: str) -> bytes:
-    """Return the MRML scene: a node and a storage node per file, and a slice viewer in the plane of each image."""
+def _colour(plan: PlanFile) -> tuple[float, float, float]:
+    return GREEN if plan.go else RED
+
+
+def _scene(names: list[str], plan: PlanFile, to_lps: np.ndarray, description: str) -> bytes:
+    """Return the MRML scene: a node and a storage node per file, a camera at the X-ray source of each view, and a slice
+    viewer in the plane of each image."""
+    plates = plan.plates
+    images = [view for view in plates if f"{view}-plate.nrrd" in names]
     root = Element("MRML", version="Slicer4.4.0", userTags="")
     for k, name in enumerate(names, 1):
         if name.endswith(".mrk.json"):
@@ -77,10 +107,16 @@ def _scene(names: list[str], images: dict[str, Pinhole], to_lps: np.ndarray, des
             storage = f"vtkMRMLTransformStorageNode{k}"
             _node(root, "TransformStorage", storage, name, fileName=name)
             _node(root, "LinearTransform", f"vtkMRMLLinearTransformNode{k}", name[:-4], description, storage=storage)
+        elif name.endswith(".vtk"):
+            colour, opacity = (YELLOW, 0.1) if name.endswith("-frustum.vtk") else (_colour(plan), 0.35)
+            shown = {"color": _numbers(colour), "opacity": repr(opacity), "backfaceCulling": "0", "visibility": "true"}
+            _model(root, name, k, description, shown)
         else:
             view = name.removesuffix("-plate.nrrd")
             _volume(root, name, k, description)
-            _slice(root, _SLICES[list(images).index(view)], f"vtkMRMLScalarVolumeNode{k}", images[view], to_lps)
+            _slice(root, _SLICES[images.index(view)], f"vtkMRMLScalarVolumeNode{k}", plates[view], to_lps)
+    for view, pinhole in plates.items():
+        _camera(root, view, pinhole, to_lps)
     indent(root, " ")
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root)
 
@@ -109,6 +145,33 @@ def _volume(root: Element, name: str, k: int, description: str) -> None:
     _node(root, "Volume", f"vtkMRMLScalarVolumeNode{k}", name[:-5], description, display=display, storage=storage)
 
 
+def _model(root: Element, name: str, k: int, description: str, shown: dict[str, str]) -> None:
+    display, storage = f"vtkMRMLModelDisplayNode{k}", f"vtkMRMLModelStorageNode{k}"
+    _node(root, "ModelDisplay", display, f"{name} display", **shown)
+    _node(root, "ModelStorage", storage, name, fileName=name, coordinateSystem="LPS")
+    _node(root, "Model", f"vtkMRMLModelNode{k}", name[:-4], description, display=display, storage=storage)
+
+
+def _camera(root: Element, view: str, pinhole: Pinhole, to_lps: np.ndarray) -> None:
+    """Add a camera at the X-ray source that looks at the middle of the image, and sees its height.
+
+    Slicer's cameras have no principal point, so only a centred image is seen as it was taken; the frustum is exact.
+    """
+    _, corners = _outline(pinhole)
+    middle, above, below = corners.mean(axis=0), corners[:2].mean(axis=0), corners[2:].mean(axis=0)
+    source = pinhole.focal_point_mm
+    to_ras = RAS_LPS[:3, :3] @ to_lps[:3, :3]
+    angle = np.arccos(np.clip(unit(above - source) @ unit(below - source), -1.0, 1.0))
+    placed = {"position": source, "focalPoint": middle, "viewUp": unit(above - below)}
+    looks = {key: _numbers(to_ras @ place) for key, place in placed.items()}
+    looks |= {"viewAngle": repr(float(np.rad2deg(angle))), "parallelProjection": "false"}
+    _node(root, "Camera", f"vtkMRMLCameraNode{view}", f"{view} X-ray source", **looks)
+
+
+def _numbers(values: Sequence[float] | np.ndarray) -> str:
+    return " ".join(repr(float(x) + 0.0) for x in values)
+
+
 def _slice(root: Element, layout: str, volume: str, pinhole: Pinhole, to_lps: np.ndarray) -> None:
     """Add a slice viewer in the plane of an image: first axis along a row, second axis up, centred on the image."""
     corner, steps = plate_corner(pinhole)
@@ -118,7 +181,7 @@ def _slice(root: Element, layout: str, volume: str, pinhole: Pinhole, to_lps: np
     across, up = (unit(axis) for axis in (steps[0], -steps[1]))
     placed[:3] = np.column_stack([across, up, np.cross(across, up), middle])
     matrix = RAS_LPS @ to_lps @ placed
-    laid = {"orientation": "Reformat", "sliceToRAS": " ".join(repr(float(x) + 0.0) for x in matrix.ravel())}
+    laid = {"orientation": "Reformat", "sliceToRAS": _numbers(matrix.ravel())}
     common = {"singletonTag": layout, "layoutName": layout}
     _node(root, "Slice", f"vtkMRMLSliceNode{layout}", layout, sliceVisibility="true", **common, **laid)
     _node(root, "SliceComposite", f"vtkMRMLSliceCompositeNode{layout}", layout, backgroundVolumeID=volume, **common)
@@ -182,6 +245,15 @@ def plate_corner(pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
     cu, cv = pinhole.camera_matrix[:2, 2]
     corner = pinhole.focal_point_mm + pinhole.rotation.T @ [-cu * across, -cv * down, distance]
     return corner, np.diag([across, down, 1.0]) @ pinhole.rotation
+
+
+def _outline(pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
+    """Return the X-ray source (3,) and the outer corners (4, 3) of the plate image along its edge, CFCS mm."""
+    corner, steps = plate_corner(pinhole)
+    height, width = pinhole.stated_shape()
+    left, top, right, bottom = -0.5, -0.5, width - 0.5, height - 0.5  # pixels reach half a pixel beyond their centres
+    corners_px = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
+    return pinhole.focal_point_mm, corner + corners_px @ steps[:2]
 
 
 def plate_bytes(pixels: np.ndarray, pinhole: Pinhole, T_lps_cfcs: np.ndarray, statement: str) -> bytes:
