@@ -97,8 +97,11 @@ class BoneFit:
 
     @property
     def evidence(self) -> float:
-        """How much less all pixels differ than those of unrelated images; few pixels may be alike by chance."""
-        return sum(_UNRELATED * float(view.weight.sum()) - view.loss for view in self.views)
+        """How much less the images differ than unrelated ones, in standard deviations of such a mean, times a constant.
+
+        The loss alone prefers few pixels, which may be alike by chance; its sum prefers bones with more edges.
+        """
+        return (_UNRELATED - self.loss) * sum(float(view.weight.sum()) for view in self.views) ** 0.5
 
     def normal_equations(self) -> tuple[np.ndarray, np.ndarray]:
         """Return matrix (6, 6) and right side (6,) of a Gauss-Newton step, in multiples of _UNIT."""

@@ -30,10 +30,10 @@ from sightline.imaging.volumes.volume import Volume
 
 # [ours] rotations tried: within 20° of a start 100 leave one that is at most 8° off, of all rotations 4,000 one 10°
 # off; how many places of them are refined; and fits that are kept after each level. Without a start a few steps sort
-# what the correlation alone does not: the right place of a pelvis may come 110th of 4,000, and then 37th.
+# what the correlation alone does not: the right place of a pelvis may come 110th of 4,000, and then 27th.
 _NEAR, _ALL = 100, 4000
 _REFINED_NEAR, _REFINED_ALL = 8, 300
-_LEVELS = (replace(COARSE, rounds=3), 40), (COARSE, 6), (MIDDLE, 2), (FINE, 2)
+_LEVELS = (replace(COARSE, rounds=3), 40), (COARSE, 16), (MIDDLE, 4), (FINE, 2)
 _APART_MM = 25.0  # between places tried of one rotation: a neighbour such as the next vertebra may match better [ours]
 _FIELD_MM = 150.0  # without a start the bone lies at most so far from where the images' middles meet [ours]
 
