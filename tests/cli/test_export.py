@@ -8,7 +8,7 @@ import pytest
 from pydicom import dcmread
 from tests.cli.picked import picks_file, typed
 
-from sightline.calibration.exchange.formats import FORMATS, check_format, read_view, write_view
+from sightline.calibration.exchange.formats import FORMATS, check_format, read_projections, read_view, write_view
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.plan_file import sealed
 from sightline.imaging import read_image
@@ -49,6 +49,15 @@ def test_every_format_gives_one_view(exported: tuple[Path, dict], setup) -> None
         ray = (TARGETS_MM - focal) / np.linalg.norm(TARGETS_MM - focal, axis=1, keepdims=True)
         true = (TARGETS_MM - truth) / np.linalg.norm(TARGETS_MM - truth, axis=1, keepdims=True)
         assert np.abs(ray - true).max() < 0.03  # 20 mm of focal point at 620 mm, mostly along the beam
+
+
+def test_rtk_gets_both_views_as_one_stack_too(exported: tuple[Path, dict]) -> None:
+    folder, _ = exported
+    for name, (view, image) in zip(("pa", "lateral"), read_projections(folder / "views.rtk.xml"), strict=True):
+        alone = read_view(folder / f"{name}.opencv.json")
+        assert np.abs(view.view().project(TARGETS_MM) - alone.view().project(TARGETS_MM)).max() < 1e-6
+        height, width = alone.stated_shape()
+        assert np.array_equal(image[:height, :width], read_image(folder / f"{name}.png").pixels)
 
 
 def test_a_bead_is_found_where_the_exported_matrix_has_it(exported: tuple[Path, dict], frame) -> None:

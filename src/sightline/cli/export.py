@@ -66,19 +66,20 @@ def views(
     import cv2
 
     from sightline.calibration.exchange.formats import check_format, write_view
+    from sightline.calibration.exchange.rtk import write_stack
 
     formats = [check_format(name.strip()) for name in to.split(",")]
     calibrated = _calibrate(output, images, pixels=raw)
     files: dict[str, bytes] = {}
-    documents = []
-    for view, seen in calibrated:
-        pinhole, pixels, document = _exported(view, seen, raw=raw)
-        documents.append(document)
+    exported = [_exported(view, seen, raw=raw) for view, seen in calibrated]
+    for (view, _), (pinhole, pixels, _) in zip(calibrated, exported, strict=True):
         if pixels is not None and not raw:
             files[f"{view.name}.png"] = cv2.imencode(".png", pixels)[1].tobytes()
         for name in formats:
             files |= write_view(pinhole, name, pixels)
-    _finish(output, out, files, documents, [view for view, _ in calibrated])
+    if "rtk" in formats and len(exported) > 1:
+        files |= write_stack([pinhole for pinhole, _, _ in exported], [pixels for _, pixels, _ in exported])
+    _finish(output, out, files, [document for _, _, document in exported], [view for view, _ in calibrated])
 
 
 @command(app, "undistorted", "sightline export undistorted pa.dcm lateral.dcm --out out/plates")

@@ -38,3 +38,16 @@ def project(pinhole: Pinhole, xyz_mm: np.ndarray) -> np.ndarray:
     x, y, z = (xyz_mm @ pinhole.rotation.T + pinhole.translation_mm).T
     k = pinhole.camera_matrix
     return np.column_stack([(k[0, 0] * x + k[0, 1] * y) / z + k[0, 2], k[1, 1] * y / z + k[1, 2]])
+
+
+def rtk_ray(given: dict[str, float], at_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Source and a place of RTK's detector (3,), world mm: from RTK's drawing of its parameters, no matrix of ours."""
+    a, b, c = (np.deg2rad(-given[name]) for name in ("InPlaneAngle", "OutOfPlaneAngle", "GantryAngle"))
+    rz = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    rx = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    ry = np.array([[np.cos(c), 0, np.sin(c)], [0, 1, 0], [-np.sin(c), 0, np.cos(c)]])
+    to_world = (rz @ rx @ ry).T
+    depth = given["SourceToIsocenterDistance"] - given["SourceToDetectorDistance"]
+    placed = [given["ProjectionOffsetX"] + at_mm[0], given["ProjectionOffsetY"] + at_mm[1], depth]
+    source = [given["SourceOffsetX"], given["SourceOffsetY"], given["SourceToIsocenterDistance"]]
+    return to_world @ source, to_world @ placed

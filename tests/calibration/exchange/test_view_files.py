@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from tests.calibration.exchange.cameras import pinholes, points_about_hip, project
+from tests.calibration.exchange.cameras import pinholes, points_about_hip, project, rtk_ray
 
 from sightline.calibration.exchange import rtk
 from sightline.calibration.exchange.formats import FORMATS, read_view, write_view
@@ -50,18 +50,10 @@ def test_a_view_comes_back(kind: str, tmp_path_factory: pytest.TempPathFactory) 
 def test_rtk_sees_the_written_image_as_its_documentation_says(pinhole: Pinhole) -> None:
     """Source and detector as points in space, from RTK's drawing of its parameters: no matrix of ours."""
     p = rtk.parameters(pinhole)
-    a, b, c = (np.deg2rad(-p[name]) for name in ("InPlaneAngle", "OutOfPlaneAngle", "GantryAngle"))
-    rz = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
-    rx = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
-    ry = np.array([[np.cos(c), 0, np.sin(c)], [0, 1, 0], [-np.sin(c), 0, np.cos(c)]])
-    to_world = (rz @ rx @ ry).T
-    source = to_world @ [p["SourceOffsetX"], p["SourceOffsetY"], p["SourceToIsocenterDistance"]]
-    depth = p["SourceToIsocenterDistance"] - p["SourceToDetectorDistance"]
     assert p["SourceToIsocenterDistance"] > 0 and p["SourceToDetectorDistance"] > 0
     u, v = 13.0, 47.0  # a pixel of ours: column 13, row 47; RTK's image holds it in row H - 1 - 47
     across, down = pinhole.pixel_mm or (0.0, 0.0)
-    on_detector = [u * across, ((pinhole.shape or (0, 0))[0] - 1 - v) * down]
-    pixel = to_world @ [p["ProjectionOffsetX"] + on_detector[0], p["ProjectionOffsetY"] + on_detector[1], depth]
+    source, pixel = rtk_ray(p, (u * across, ((pinhole.shape or (0, 0))[0] - 1 - v) * down))
     on_ray = source + 0.6 * (pixel - source)
     assert np.abs(project(pinhole, on_ray[None]) - [u, v]).max() < 1e-6
 

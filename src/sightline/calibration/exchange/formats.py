@@ -46,8 +46,8 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
     """Return a view from a file of another program.
 
     `kind`: the format; by default from the file's name (`pa.xreg.h5`), else "opencv". `name`: of the view,
-    "pa" or "lateral", or of one of several projections in an xReg file, "proj-001"; by default the first word of the
-    file's name. Raises UnusableInputError.
+    "pa" or "lateral", or of one of several projections in a file of xReg or RTK, "proj-001"; by default the first word
+    of the file's name. Raises UnusableInputError.
 
     >>> sl.read_view("pa.opencv.json").view().name
     'pa'
@@ -64,6 +64,19 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
         return _READ[kind](data, view)
     except UnusableInputError as error:
         raise UnusableInputError(f"{file.name} ({kind}): {error}") from None
+
+
+def read_projections(path: str | Path) -> list[tuple[Pinhole, np.ndarray]]:
+    """Return the views of RTK's geometry, "proj-000" first, and their images (H, W), top row first.
+
+    The images are in the `.mha` beside it. Raises UnusableInputError.
+    """
+    file = Path(path)
+    image = reading.read_bytes(file.with_suffix(".mha"), MAX_FILE_BYTES)
+    try:
+        return rtk.read_stack(reading.read_bytes(file), image)
+    except UnusableInputError as error:
+        raise UnusableInputError(f"{file.name} (rtk): {error}") from None
 
 
 def _head(image: Path) -> bytes:

@@ -126,4 +126,4 @@ class Pinhole:
                 f"resample the image first: the format needs one focal length and no skew; this camera has "
                 f"{along_u:.3f} and {along_v:.3f} mm and a skew of {skew:.3g} px"
             )
-        return float(along_u), *self.pixel_mm
+        return float(along_u), float(self.pixel_mm[0]), float(self.pixel_mm[1])  # formats write their digits by repr

@@ -1,9 +1,13 @@
-"""RTK's `ThreeDCircularProjectionGeometry` (XML, version 3) with the projection as MetaImage, which defines its pixels.
+"""RTK's `ThreeDCircularProjectionGeometry` (XML, version 3) with its projections as one MetaImage, which defines the
+pixels: slice k is projection k.
 
 RTK's detector axes and the direction from detector to source are right-handed, so its second axis runs against v, and
 the image is written bottom row first. See documentation/docs/Geometry.md in RTK's repository.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import prod
 from xml.etree.ElementTree import Comment, Element, SubElement, TreeBuilder, indent, tostring
 from xml.parsers import expat
 
@@ -29,6 +33,9 @@ _NAMES = (
     "ProjectionOffsetY",
 )
 _NEEDED = _NAMES[:3]
+_ELEMENTS = {"uint8": "MET_UCHAR", "uint16": "MET_USHORT", "float32": "MET_FLOAT"}
+_LOCAL = b"ElementDataFile = LOCAL\n"  # the header's last line: the pixels follow
+_MAX_HEADER = 4096  # [ours] bytes; RTK writes 300
 # A file's matrix must agree with its parameters to 0.001 px at 0.2 mm, as in RTK [calc].
 _MAX_DIFFERENCE_MM = 2e-4
 
@@ -71,26 +78,44 @@ def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes
 
     Raises UnusableInputError.
     """
-    given = parameters(pinhole)
+    return _files(pinhole.name, [pinhole], [_own(pinhole, pixels)])
+
+
+def write_stack(pinholes: Sequence[Pinhole], pixels: Sequence[np.ndarray | None]) -> dict[str, bytes]:
+    """Return the files `views.rtk.xml` and `.mha` of several views: one projection and one slice each, in their order.
+
+    All slices have one size and one pixel size. Smaller images are padded with zeros at the right and below. A view of
+    another pixel size has its detector moved parallel to itself, to where a pixel has the size of the first view's:
+    every line of sight stays. Raises UnusableInputError.
+    """
+    images = [_own(pinhole, image) for pinhole, image in zip(pinholes, pixels, strict=True)]
+    height, width = np.max([image.shape for image in images], axis=0).tolist()
+    padded = [np.pad(image, ((0, height - image.shape[0]), (0, width - image.shape[1]))) for image in images]
+    alike = [replace(pinhole, shape=(height, width), pixel_mm=pinholes[0].pixel_mm) for pinhole in pinholes]
+    return _files("views", alike, padded)
+
+
+def _own(pinhole: Pinhole, pixels: np.ndarray | None) -> np.ndarray:
+    return pinhole.own_image(np.zeros(pinhole.stated_shape(), np.uint8) if pixels is None else np.asarray(pixels))
+
+
+def _files(name: str, pinholes: Sequence[Pinhole], images: Sequence[np.ndarray]) -> dict[str, bytes]:
     root = Element(_ROOT, version="3")
-    root.append(Comment(f"view {pinhole.name}, mm, isocentre and axes: CFCS; {pinhole.note}".replace("--", "-")))
-    projection = SubElement(root, "Projection")
-    for name in _NAMES:
-        SubElement(projection, name).text = repr(given[name])
-    rows = matrix_mm(given)
-    SubElement(projection, "Matrix").text = "\n" + "".join(" ".join(map(repr, map(float, r))) + "\n" for r in rows)
+    for pinhole in pinholes:
+        root.append(Comment(f"view {pinhole.name}, mm, isocentre and axes: CFCS; {pinhole.note}".replace("--", "-")))
+        given = parameters(pinhole)
+        projection = SubElement(root, "Projection")
+        for key in _NAMES:
+            SubElement(projection, key).text = repr(given[key])
+        rows = matrix_mm(given)
+        SubElement(projection, "Matrix").text = "\n" + "".join(" ".join(map(repr, map(float, r))) + "\n" for r in rows)
     indent(root, " ")
-    header, image = _image(pinhole, pixels)
-    stem = f"{pinhole.name}.rtk"
-    files = {f"{stem}.xml": _HEAD + tostring(root)}
-    return files | {f"{stem}.mha": header + image}
+    stem = f"{name}.rtk"
+    return {f"{stem}.xml": _HEAD + tostring(root), f"{stem}.mha": _image(pinholes[0], np.stack(images))}
 
 
-def _image(pinhole: Pinhole, pixels: np.ndarray | None) -> tuple[bytes, bytes]:
-    """Return header and pixels of the MetaImage, bottom row first; zeros without an image."""
-    height, width = pinhole.stated_shape()
-    stored = pinhole.own_image(np.zeros((height, width), np.uint8) if pixels is None else np.asarray(pixels))
-    kinds = {"uint8": "MET_UCHAR", "uint16": "MET_USHORT", "float32": "MET_FLOAT"}
+def _image(pinhole: Pinhole, stack: np.ndarray) -> bytes:
+    """Return images (N, H, W) as MetaImage, bottom row first."""
     _, across, down = pinhole.detector_mm()
     lines = (
         "ObjectType = Image",
@@ -101,44 +126,83 @@ def _image(pinhole: Pinhole, pixels: np.ndarray | None) -> tuple[bytes, bytes]:
         "TransformMatrix = 1 0 0 0 1 0 0 0 1",
         "Offset = 0 0 0",
         f"ElementSpacing = {across!r} {down!r} 1",
-        f"DimSize = {width} {height} 1",
-        f"ElementType = {kinds[stored.dtype.name]}",
-        "ElementDataFile = LOCAL",
+        "DimSize = " + " ".join(map(str, stack.shape[::-1])),
+        f"ElementType = {_ELEMENTS[stack.dtype.name]}",
     )
-    little = stored[::-1].astype(stored.dtype.newbyteorder("<"), copy=False)
-    return ("\n".join(lines) + "\n").encode(), little.tobytes()
+    little = stack[:, ::-1].astype(stack.dtype.newbyteorder("<"), copy=False)
+    return ("\n".join(lines) + "\n").encode() + _LOCAL + little.tobytes()
 
 
 def read(data: bytes, name: str, image_header: bytes | None = None) -> Pinhole:
-    """Return the view of one projection's XML and the first bytes of its MetaImage. Raises UnusableInputError.
+    """Return the only projection of an XML file, or of several the one called `name` ("proj-001").
 
-    RTK's geometry is in mm on the detector; the pixels are defined by the image.
+    `image_header`: the first bytes of the MetaImage: RTK's geometry is in mm on the detector, and the image defines the
+    pixels. Raises UnusableInputError.
     """
-    root = parsed_xml(data)
-    projections = root.findall("Projection")
-    if root.tag != _ROOT or len(projections) != 1:
-        raise UnusableInputError(f"give RTK's geometry of one projection; this file has {len(projections)}")
+    root, names = _named(data)
     if image_header is None:
         raise UnusableInputError(
-            "put the projection's .mha beside the XML, with the same name: RTK's geometry does not state the pixels"
+            "put the projections' .mha beside the XML, with the same name: RTK's geometry does not state the pixels"
         )
-    stated = {**_values(root), **_values(projections[0])}
+    if name not in names and (len(names) != 1 or name.startswith("proj-")):
+        raise UnusableInputError(
+            f"the geometry has no projection {name!r}; name one of its {len(names)}: {', '.join(names[:3])}"
+        )
+    return _view(root, names.index(name) if name in names else 0, name, _grid(image_header, len(names)))
+
+
+def read_stack(data: bytes, image: bytes) -> list[tuple[Pinhole, np.ndarray]]:
+    """Return the views "proj-000", ... of an XML file, and their images (H, W), top row first, of its MetaImage.
+
+    Raises UnusableInputError.
+    """
+    root, names = _named(data)
+    grid = _grid(image, len(names))
+    elements = {element: np.dtype(kind).newbyteorder("<") for kind, element in _ELEMENTS.items()}
+    stated, (head, local, _) = _header(image), image[:_MAX_HEADER].partition(_LOCAL)
+    element = " ".join(stated.get("ElementType", []))[:20]
+    dtype, start, shape = elements.get(element), len(head) + len(local), (len(names), *grid.shape)
+    packed = {" ".join(stated.get(key, [])).lower() for key in ("CompressedData", "BinaryDataByteOrderMSB")}
+    if not local or dtype is None or "true" in packed or len(image) - start != prod(shape) * dtype.itemsize:
+        raise UnusableInputError(
+            f"the .mha holds {len(image) - start} bytes of {element or 'no type'}; write all pixels into it, "
+            f"uncompressed and little-endian, as {', '.join(elements)}"
+        )
+    stack = np.ascontiguousarray(np.frombuffer(image, dtype, offset=start).reshape(shape)[:, ::-1])
+    return [(_view(root, k, name, grid), stack[k]) for k, name in enumerate(names)]
+
+
+def _named(data: bytes) -> tuple[Element, list[str]]:
+    """Return the geometry, and the names of its projections. Raises UnusableInputError."""
+    root = parsed_xml(data)
+    count = len(root.findall("Projection"))
+    if root.tag != _ROOT or not count:
+        raise UnusableInputError("give RTK's geometry of one projection or more; this file has none")
+    return root, [f"proj-{k:03d}" for k in range(count)]
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """The pixels of all projections: height and width, and spacing and place of the first stored pixel, mm."""
+
+    shape: tuple[int, int]
+    spacing_mm: tuple[float, float]
+    offset_mm: tuple[float, float]
+
+
+def _view(root: Element, k: int, name: str, grid: _Grid) -> Pinhole:
+    projection = root.findall("Projection")[k]
+    stated = {**_values(root), **_values(projection)}
     missing = [n for n in _NEEDED if n not in stated]
     if missing or stated.get("RadiusCylindricalDetector") or not stated["SourceToDetectorDistance"]:
         raise UnusableInputError(
             f"give the geometry of a flat detector and a point source; missing: {', '.join(missing) or 'none'}"
         )
     mm = matrix_mm(stated)
-    _refuse_other_matrix(projections[0].findtext("Matrix"), mm)
-    (width, height), spacing, offset = _geometry(image_header)
-    to_px = np.array(
-        [
-            [1 / spacing[0], 0.0, -offset[0] / spacing[0]],
-            [0.0, -1 / spacing[1], height - 1 + offset[1] / spacing[1]],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    return Pinhole.of_matrix(to_px @ mm, name, (height, width), spacing)
+    _refuse_other_matrix(projection.findtext("Matrix"), mm)
+    (u, v), (x, y) = grid.spacing_mm, grid.offset_mm
+    to_px = np.array([[1 / u, 0.0, -x / u], [0.0, -1 / v, grid.shape[0] - 1 + y / v], [0.0, 0.0, 1.0]])
+    return Pinhole.of_matrix(to_px @ mm, name, grid.shape, grid.spacing_mm)
 
 
 def _values(element: Element) -> dict[str, float]:
@@ -163,10 +227,15 @@ def _refuse_other_matrix(written: str | None, computed: np.ndarray) -> None:
         raise UnusableInputError("export the file again: its matrix disagrees with its parameters")
 
 
-def _geometry(header: bytes) -> tuple[tuple[int, int], tuple[float, float], tuple[float, float]]:
-    """Return (width, height), spacing and offset, mm, of a MetaImage's header. Raises UnusableInputError."""
-    lines = header.split(b"ElementDataFile")[0][:4096].decode("ascii", "replace").splitlines()
-    stated = {key.strip(): value.split() for key, _, value in (line.partition("=") for line in lines)}
+def _header(image: bytes) -> dict[str, list[str]]:
+    """Return the words of each line of a MetaImage's header."""
+    lines = image[:_MAX_HEADER].split(b"ElementDataFile")[0].decode("ascii", "replace").splitlines()
+    return {key.strip(): value.split() for key, _, value in (line.partition("=") for line in lines)}
+
+
+def _grid(image: bytes, count: int) -> _Grid:
+    """Return the pixels of a MetaImage of `count` slices, from its first bytes. Raises UnusableInputError."""
+    stated = _header(image)
 
     def pair(key: str) -> list[float]:
         words = stated.get(key, [])
@@ -177,10 +246,14 @@ def _geometry(header: bytes) -> tuple[tuple[int, int], tuple[float, float], tupl
     if stated.get("TransformMatrix", [])[:5] not in ([], ["1", "0", "0", "0", "1"], ["1", "0", "0", "1"]):
         raise UnusableInputError("write the image with the identity as TransformMatrix: its axes are rotated")
     width, height = pair("DimSize")
+    slices = _float(" ".join(stated["DimSize"][2:]) or "1", "DimSize")
+    if slices != count:
+        raise UnusableInputError(
+            f"the .mha has {slices:g} slices, the geometry {count} projections; give both of the same images"
+        )
     u, v = (reading.positive(s, "ElementSpacing") for s in pair("ElementSpacing"))
-    rows, columns = reading.image_shape(height, width)
     x, y = pair("Offset")
-    return (columns, rows), (u, v), (x, y)
+    return _Grid(reading.image_shape(height, width), (u, v), (x, y))
 
 
 def parsed_xml(data: bytes) -> Element:
