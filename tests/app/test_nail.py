@@ -2,23 +2,26 @@
 
 import asyncio
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from benchmarks.scenes.nails import seen
+from scipy.spatial.transform import RigidTransform
 from tests.app.given import mark, marked
 from tests.planning.test_hole import camera_matrix
 from tests.planning.test_two_holes import ERRORS, KNOWN, NAIL, SIGHTS, VIEWS
 
 from sightline.app.drawing import shapes
+from sightline.app.panels import steps, verify
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.marks import NAIL_EDGES, hole_mark
 from sightline.app.plan.planner import NAIL as STROKES
 from sightline.app.plan.planner import HolesFound, nail_drawn, of_wire, picks_of, plan_input, planned, with_nail
 from sightline.app.session.jobs import Jobs
 from sightline.app.session.seen import NailInImages
-from sightline.app.tab.placing import _goals
+from sightline.app.tab.placing import ProcedureStep, _goals
 from sightline.calibration import view_from_matrix
 from sightline.case.views import NAMES
 from sightline.imaging import Radiograph
@@ -206,3 +209,48 @@ def test_a_sent_hole_holds_until_its_own_marks_change() -> None:
     edge = decisions.with_mark(NAIL_EDGES[2].name, mark(np.array([[1.0, 2.0], [3.0, 4.0]])))
     for other in (edge, replace(decisions, nail=Nail(12.0)), replace(decisions, nail=None)):
         assert of_wire(other, KINDS[0]) != of_wire(decisions, KINDS[0])
+
+
+def test_a_drilled_hole_is_judged_at_both_holes_and_its_arrow_begins_at_the_planned_tip(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Fails where a drill that is planned 15 mm past its far hole looks 15 mm off."""
+    path = SimpleNamespace(entry_mm=np.zeros(3), end_mm=np.array([0.0, 0.0, 60.0]), direction=np.array([0.0, 0.0, 1.0]))
+    plan = SimpleNamespace(trajectory=path, kind=SimpleNamespace(limits=SimpleNamespace(beyond_mm=15.0)))
+    off = dict.fromkeys(("entry_deviation_mm", "tip_deviation_mm", "angle_rad", "entry_error_95_mm"), 0.1)
+    off |= dict.fromkeys(("tip_error_95_mm", "direction_error_95_rad"), 0.1)
+    ends = {"entry_mm": path.entry_mm, "tip_mm": np.array([0.0, 0.1, 75.0]), "movement": RigidTransform.identity()}
+    shot = SimpleNamespace(at_holes=True, passed=True, checks=(), **off, **ends)
+    verifying = SimpleNamespace(refused="", shot=shot, shots={KINDS[0]: shot})
+    planning = SimpleNamespace(all_sent={KINDS[0]: SimpleNamespace(plan=plan)}, views=lambda _: VIEWS)
+    session: Any = SimpleNamespace(verifying=verifying, planning=planning)
+    for name, shown in (("put", str), ("table", lambda _, rows, **__: str(rows))):
+        monkeypatch.setattr(verify, name, lambda *given, shown=shown, **more: told.append(shown(*given, **more)))
+    monkeypatch.setattr(verify, "missing_again", lambda _: ())
+    monkeypatch.setattr(shapes, "deviations", lambda _, planned, *__: planned[1].tolist())
+    told: list[str] = []
+    verify._result(SimpleNamespace(planning=planning, session=session))  # type: ignore[arg-type]
+    assert "Judged at both holes of the nail" in told[0] and "tip, not judged" in told[1]
+    assert shapes._deviations_there(session, KINDS[0], "check-pa") == [0.0, 0.0, 75.0]
+    shot.at_holes = False
+    verify._result(SimpleNamespace(planning=planning, session=session))  # type: ignore[arg-type]
+    assert "holes" not in told[2] and "not judged" not in told[3]
+
+
+def test_after_a_drilled_hole_the_page_leads_to_drilling_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen: list[Any] = []
+    order = SimpleNamespace(keys=KEYS)
+    planning: Any = SimpleNamespace(drilling_order=order, kinds=KINDS, all_drilled={KINDS[0]: 1}, decisions=_decided())
+
+    async def choose(decisions: Decisions) -> None:
+        chosen.append(decisions.kind)
+
+    buttons: list[tuple[Any, ...]] = []
+    tab: Any = SimpleNamespace(planning=planning, step=ProcedureStep.VERIFY, choose=choose, go_to=chosen.append)
+    monkeypatch.setattr(steps, "action", lambda text, follow, **_: buttons.append((text, follow)))
+    steps.build_next_wire(tab)
+    ((text, follow),) = buttons
+    asyncio.run(follow())
+    assert "proximal" in text and chosen == [KINDS[1], ProcedureStep.DRILL]
+    planning.all_drilled[KINDS[1]] = 2
+    assert steps.next_wire(tab) is None
