@@ -7,6 +7,7 @@ import pytest
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.planner import nail_drawn
+from sightline.app.session.rehearsing import Patient
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.cli.demo import PLACED, WITH_ROBOT, frame_for
@@ -20,12 +21,14 @@ HIP_WORDS = ("femoral head", "lesser trochanter", "neck", "right hip", "hip scre
 # Its case is computed again too; cases of a hip, of three wires and of a nail are in test_demo, test_check_wires and
 # test_plan_holes.
 REPLAYED = "pedicle-screw"
+ARM = "six-axis"  # of the cannulated screws; the manipulator drills the holes of the nail, and the other demos
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("procedure", [*BONE_OF, CANNULATED, NAILED])
 def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure: str) -> None:
-    ran = run("demo", "--procedure", procedure, "--out", tmp_path / "demo", "--json")
+    arm = ("--arm", ARM) if procedure == CANNULATED else ()
+    ran = run("demo", "--procedure", procedure, *arm, "--out", tmp_path / "demo", "--json")
     assert ran.code == 0, ran.err
     told = ran.document
     assert (told["verdict"], told["kind"].partition(":")[0], told["missing"]) == ("go", procedure, [])
@@ -44,6 +47,13 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
         relations = {one["name"]: one["passed"] for one in told["relations_measured"]}
         assert relations == {"inverted triangle": True, "parallel": True, "spacing": True}
     page = (tmp_path / "demo" / "report.html").read_text()
+    if procedure == CANNULATED:  # an arm holds the guide while a person drills
+        drilling = json.loads((tmp_path / "demo" / "drilling.json").read_text())
+        off = drilling["physics"][0]  # against the plan; a guide of the manipulator's frame on its flange is 60 mm off
+        assert len(drilling["joints"]) == 6
+        assert max(off["entry_mm"], off["tip_mm"]) < 1.0
+        assert f"--arm {ARM}" in page
+        assert "through a guide" in page  # among the robot's sources of error
     assert (PLACED in page.replace("&#39;", "'")) is (procedure in BONE_OF)
     for view in document_of(procedure).views[:2]:
         assert f"{'PA' if view.name == 'pa' else view.name} image" in page
@@ -54,6 +64,9 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
         made = list(replay(case)) if procedure == REPLAYED else []
         plans = [entry.content["asked"].get("nail") for entry in case.entries(Kind.PLANNED)]
         edit = case.latest(Kind.CHANGED, where={"what": "edit"})
+        patient = case.latest(Kind.CHANGED, where={"what": "rehearsal"})
+    if procedure == CANNULATED:  # the case knows the arm, so that the app starts the same one
+        assert patient is not None and Patient.of(patient.content["to"]).arm == ARM
     assert {one.outcome for one in made} <= {ReplayOutcome.SAME, ReplayOutcome.RECORDED}
     if procedure == NAILED:
         assert list(told["all_drilled"]) == ["distal", "proximal"]

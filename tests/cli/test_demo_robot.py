@@ -1,6 +1,5 @@
 """The demo's robot with a block: registered by encoders, and by images of its own wire."""
 
-import json
 from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import patch
@@ -8,9 +7,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from sightline.app.session.rehearsing import Patient
 from sightline.calibration import calibrate
-from sightline.case.journal import Case, Kind
 from sightline.cli import demo as demo_robot
 from sightline.cli.demo import RobotAhead
 from sightline.common.geometry.covariance import length_quantile
@@ -53,25 +50,6 @@ def test_both_registrations_know_the_wire_as_they_state_and_images_better(planne
         assert np.linalg.norm(shown_wire_mm(one.robot.manipulator, q, [0.0])[0] - true[1]) < 1.3 * stated
         tips[by] = stated
     assert tips[BY_IMAGES] < 0.6 * tips[BY_ENCODERS] < 0.6
-
-
-@pytest.mark.slow
-def test_an_arm_holds_the_guide_while_a_person_drills_and_the_check_shot_passes(run, tmp_path):
-    """The case knows the arm, so that the app starts the same one."""
-    ran = run("demo", "--frame", "block60", "--arm", "six-axis", "--out", tmp_path / "demo", "--json")
-    assert ran.code == 0, ran.err
-    assert ran.document["drilled"]["passed"] is True
-    drilling = json.loads((tmp_path / "demo" / "drilling.json").read_text())
-    off = drilling["physics"][0]  # against the plan; a guide of the manipulator's frame on its flange is 60 mm off
-    assert len(drilling["joints"]) == 6
-    assert max(off["entry_mm"], off["tip_mm"]) < 1.0
-    page = (tmp_path / "demo" / "report.html").read_text()
-    assert "--frame block60 --arm six-axis" in page
-    assert "through a guide" in page  # among the robot's sources of error
-    with Case.open(tmp_path / "demo" / "case", read_only=True) as case:
-        patient = case.latest(Kind.CHANGED, where={"what": "rehearsal"})
-    assert patient is not None
-    assert Patient.of(patient.content["to"]).arm == "six-axis"
 
 
 def tip_error_95_mm(stood: Registration) -> float:
