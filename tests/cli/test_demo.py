@@ -30,6 +30,7 @@ def load(folder: Path, name: str):
     return json.loads((folder / f"{name}.json").read_text())
 
 
+@pytest.mark.slow
 def test_it_says_where_everything_is(demo_run) -> None:
     ran, out = demo_run
     assert ran.exit_code == 0, ran.stderr
@@ -67,6 +68,7 @@ def test_its_case_comes_out_the_same_and_altered_check_shots_are_noticed(demo_fo
     assert "wire" in replayed[-1].differences[0].now
 
 
+@pytest.mark.slow
 def test_the_app_finds_the_plan_in_its_case(demo_folder) -> None:
     with Case.open(demo_folder / "case", read_only=True) as case:
         edit = case.latest(Kind.CHANGED, where={"what": "edit"})
@@ -92,6 +94,7 @@ def test_the_report_of_its_case_tells_exposures_and_deviations(run, demo_folder,
         assert words in page
 
 
+@pytest.mark.slow
 def test_every_label_is_true(demo_folder) -> None:
     """Each bead lies where the truth has it, within 2 px (balls stand 10 px apart or more); the CSV agrees."""
     out = demo_folder
@@ -106,6 +109,7 @@ def test_every_label_is_true(demo_folder) -> None:
         np.testing.assert_array_equal(again[name].uv_px, uv)
 
 
+@pytest.mark.slow
 def test_the_plan_is_near_the_truth_and_says_how_near(demo_folder) -> None:
     out = demo_folder
     path, truth = load(out, "trajectory"), load(out, "truth")
@@ -128,6 +132,7 @@ def test_an_interrupted_demo_leaves_nothing(run, tmp_path: Path, monkeypatch) ->
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_wire_was_drilled_and_the_check_shot_agrees_with_the_physics(demo_folder) -> None:
     drilled = load(demo_folder, "drilling")
     noticed = [event["name"] for event in drilled["record"]["events"]]
