@@ -100,6 +100,59 @@ def test_autoscoper_turns_mayacam_into_a_camera_that_looks_along_its_minus_z(pin
     assert np.abs((height - 1 - from_bottom) - wanted[:, 1]).max() < 1e-8
 
 
+VTKCAM = {
+    "@schema": "https://autoscoperm.slicer.org/vtk-schema-1.0.json",
+    "version": 1.0,
+    "focal-point": [-8.3, -245.5, -186.65],
+    "camera-position": [704.7, -255.2, -79.7],
+    "view-up": [0.1, 0.9, 0.2],
+    "view-angle": 23.7,
+    "image-width": 1761,
+    "image-height": 1761,
+    "clipping-range": [0.1, 1000],
+}
+
+
+def test_a_vtkcam_file_is_read_as_vtks_camera_projects(tmp_path: Path) -> None:
+    """By gluLookAt and gluPerspective, whose matrices VTK and Autoscoper build: clip coordinates to pixels' corners."""
+    (tmp_path / "cam0.vtkcam.json").write_text(json.dumps(VTKCAM))
+    at, eye, up = (np.array(VTKCAM[key]) for key in ("focal-point", "camera-position", "view-up"))
+    forward = (at - eye) / np.linalg.norm(at - eye)
+    side = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
+    look = np.eye(4)
+    look[:3, :3] = [side, np.cross(side, forward), -forward]
+    look[:3, 3] = -look[:3, :3] @ eye
+    f = 1 / np.tan(np.deg2rad(23.7) / 2)
+    points = np.column_stack([at + POINTS, np.ones(len(POINTS))])
+    x, y, towards, _ = look @ points.T
+    x, y, w = f * x, f * y, -towards
+    wanted = np.column_stack([(x / w + 1) / 2 * 1761 - 0.5, (1 - y / w) / 2 * 1761 - 0.5])
+    view = read_view(tmp_path / "cam0.vtkcam.json")
+    assert np.abs(view.view().project(points[:, :3]) - wanted).max() < 1e-8
+    assert view.shape == (1761, 1761) and not view.mirrored
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"version": 2.0}, "another version"),
+        ({"image-width": 1760}, "not square"),
+        ({"view-angle": 180.0}, "below 180 degrees"),
+        ({"view-angle": -3.0}, "above zero"),
+        ({"view-up": [1426.0, -19.4, 213.9]}, "along the beam"),
+        ({"view-up": [0.0, 0.0, 0.0]}, "along the beam"),
+        ({"camera-position": VTKCAM["focal-point"]}, "along the beam"),
+        ({"focal-point": [1.0, 2.0]}, "focal-point must be"),
+    ],
+)
+def test_a_vtkcam_file_that_programs_would_read_differently_is_refused(
+    tmp_path: Path, changes: dict, words: str
+) -> None:
+    (tmp_path / "cam0.vtkcam.json").write_text(json.dumps(VTKCAM | changes))
+    with pytest.raises(UnusableInputError, match=words):
+        read_view(tmp_path / "cam0.vtkcam.json")
+
+
 def test_a_covariance_travels_with_the_matrix_whatever_its_scale(tmp_path: Path) -> None:
     camera = np.array([[5000.0, 0, 500], [0, 5000, 480], [0, 0, 1]])
     pinhole = Pinhole("pa", camera, np.eye(3), np.array([3.0, -5.0, 620.0]), (1000, 1024), (0.2, 0.2))
@@ -211,8 +264,9 @@ def test_what_a_format_cannot_state_is_refused() -> None:
         write_view(Pinhole.of_matrix(skew, "a"), "mayacam2")
     with pytest.raises(UnusableInputError, match="mirrored"):
         write_view(Pinhole.of_matrix(np.diag([-1.0, 1, 1]) @ GOOD["matrix"], "a", (90, 80), (0.2, 0.2)), "rtk")
-    with pytest.raises(UnusableInputError, match="unknown format"):
-        write_view(Pinhole.of_matrix(skew, "a"), "maya")
+    for unknown in ("maya", "vtkcam"):  # the latter is only read
+        with pytest.raises(UnusableInputError, match="unknown format"):
+            write_view(Pinhole.of_matrix(skew, "a"), unknown)
 
 
 @pytest.mark.parametrize("sides", [(0, 512), (512, 0), (65537, 1), (1.5, 2), (None, 1)])

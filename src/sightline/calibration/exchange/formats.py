@@ -24,9 +24,11 @@ _READ: dict[str, Callable[[bytes, str], Pinhole]] = {  # RTK's reader needs its 
     "diffdrr": drr.read_diffdrr,
     "deepdrr": drr.read_deepdrr,
     "xreg": xreg.read,
+    "vtkcam": opencv.read_vtkcam,
 }
 _MAX_BYTES = {"xreg": MAX_FILE_BYTES}  # its file contains the images
 FORMATS = (*_WRITE, *_WRITE_WITH_IMAGE)
+_READABLE = (*FORMATS, "vtkcam")  # it cannot state a principal point, so our views cannot be written in it
 ALIASES = {"autoscoper": "mayacam2", "xmalab": "mayacam2"}  # programs that read and write that format
 
 
@@ -54,7 +56,8 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
     """
     file = Path(path)
     words = file.name.lower().split(".")
-    kind = check_format(kind or next((word for word in words[1:] if word in (*FORMATS, *ALIASES)), "opencv"))
+    stated = kind or next((word for word in words[1:] if word in (*_READABLE, *ALIASES)), "opencv")
+    kind = check_format(stated, _READABLE)
     view = name or re.sub(r"[^\w-]", "_", words[0])[:32]
     data = reading.read_bytes(file, _MAX_BYTES.get(kind, MAX_TEXT_BYTES))
     try:
@@ -84,9 +87,9 @@ def _head(image: Path) -> bytes:
         return stream.read(4096)
 
 
-def check_format(kind: str) -> str:
+def check_format(kind: str, formats: tuple[str, ...] = FORMATS) -> str:
     """Return the name of a format, given by itself or by a program's. Raises UnusableInputError for an unknown one."""
-    if (name := ALIASES.get(kind, kind)) not in FORMATS:
-        known = ", ".join((*FORMATS, *ALIASES))
+    if (name := ALIASES.get(kind, kind)) not in formats:
+        known = ", ".join((*formats, *ALIASES))
         raise UnusableInputError(f"unknown format of a view {kind!r}; choose one of {known}")
     return name

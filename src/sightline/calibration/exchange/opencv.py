@@ -1,6 +1,7 @@
 """Projection matrices by OpenCV's convention: JSON (ours, or any with "matrix"), CSV of 3 x 4 numbers, or `.npy`.
 
-Also MayaCam 2 text of XMALab and Autoscoper: image size, and OpenCV's camera matrix, rotation and translation.
+Also MayaCam 2 text of XMALab and Autoscoper: image size, and OpenCV's camera matrix, rotation and translation; and,
+read only, the VTK camera of AutoscoperM.
 """
 
 import io
@@ -12,6 +13,7 @@ from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.pinhole import MAX_DIFFERENCE, Pinhole
 from sightline.calibration.exchange.reading import json_bytes
 from sightline.common.bounded import npy_array
+from sightline.common.geometry.lines import unit
 from sightline.errors import UnusableInputError
 
 CONVENTION = (
@@ -151,3 +153,35 @@ def read_mayacam2(data: bytes, name: str) -> Pinhole:
     (size,), camera, rotation, translation = blocks
     matrix = camera @ np.column_stack([reading.rotation(rotation), translation])
     return Pinhole.of_matrix(matrix, name, reading.image_shape(size[1], size[0]))
+
+
+def read_vtkcam(data: bytes, name: str) -> Pinhole:
+    """Return the view in a VTKCam 1.0 file (JSON), as AutoscoperM writes it; world coordinates are the file's.
+
+    The beam through the image's middle runs from `camera-position` to `focal-point`; `view-angle` spans the image,
+    degrees. Raises UnusableInputError; also for an image that is not square, which Autoscoper stretches and VTK does
+    not.
+    """
+    given = reading.json_object(data)
+    if reading.number(reading.entry(given, "version"), "the version") != 1.0:
+        raise UnusableInputError("this is another version of VTKCam than 1.0; export MayaCam 2 instead")
+    position, target, up = (
+        reading.array(reading.entry(given, key), (3,), key) for key in ("camera-position", "focal-point", "view-up")
+    )
+    height, width = reading.image_shape(reading.entry(given, "image-height"), reading.entry(given, "image-width"))
+    if height != width:
+        raise UnusableInputError(
+            f"the image has {width} x {height} pixels, and Autoscoper and VTK read the view angle of an image that is "
+            "not square differently; export MayaCam 2 instead"
+        )
+    angle = np.deg2rad(reading.positive(reading.entry(given, "view-angle"), "view-angle"))
+    side = np.cross(target - position, up)
+    if angle >= np.pi or np.linalg.norm(side) <= MAX_DIFFERENCE * np.linalg.norm(target - position) * np.linalg.norm(
+        up
+    ):
+        raise UnusableInputError("view-angle must be below 180 degrees, and view-up must not lie along the beam")
+    beam, across = unit(target - position), unit(side)
+    rotation = np.stack([across, np.cross(beam, across), beam])
+    focal, middle = 0.5 * width / np.tan(0.5 * angle), 0.5 * (width - 1)
+    camera = np.array([[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]])
+    return Pinhole.of_matrix(camera @ np.column_stack([rotation, -rotation @ position]), name, (height, width))
