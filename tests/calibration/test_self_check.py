@@ -62,7 +62,6 @@ def test_shears_stretches_and_bends_along_the_beam_leave_every_image_as_it_is():
         assert np.abs(other.focal_point_mm - pencil.focal_point_mm).max() > 0.01
 
 
-@pytest.mark.slow
 def test_the_covariance_is_that_of_the_errors(checked):
     """Each frame is one draw of 678 numbers; five together within what chance gives 999 times in 1,000."""
     for number in (4, 8):
