@@ -1,9 +1,12 @@
 """Three images of a block on the twin's panel: PA, lateral, oblique; for tests of several rooms."""
 
+from pathlib import Path
+
 import numpy as np
+from tests.worked import make_once
 
 from sightline.frame import Frame
-from sightline.imaging import Radiograph
+from sightline.imaging import write_dicom
 from sightline.twin import SetUp, draw_setup, render
 from sightline.twin.objects.things import frame_scene
 from sightline.twin.scenes.specimens import tagged
@@ -25,7 +28,14 @@ def draw_three(rng: np.random.Generator, chain: str | None = None) -> tuple[SetU
             return setup, xyz
 
 
-def three_images(setup: SetUp, rng: np.random.Generator) -> dict[str, Radiograph]:
-    """The images of the block alone, with the tags that a panel writes."""
-    scene = frame_scene(setup.true_frame)
-    return {name: tagged(setup, name, render(setup, name, scene, rng)) for name in setup.views}
+def three_files(folder: Path, setup: SetUp) -> dict[str, Path]:
+    """The images of the block alone, with the tags that a panel writes, drawn once for all processes of a folder."""
+    files = {name: folder / f"three_{name}.dcm" for name in setup.views}
+
+    def draw() -> None:
+        rng, scene = np.random.default_rng(32), frame_scene(setup.true_frame)
+        for name, file in files.items():
+            write_dicom(tagged(setup, name, render(setup, name, scene, rng)), file)
+
+    make_once(folder, "three", draw)
+    return files

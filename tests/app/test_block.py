@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.three import BLOCK, POINTS_MM, draw_three, three_images
+from tests.three import BLOCK, POINTS_MM, draw_three, three_files
+from tests.worked import Worked
 
 from sightline.app.drawing import shapes
 from sightline.app.panels.steps import StepStatus, steps
@@ -20,7 +21,6 @@ from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.stages import keep_frame, record_acquired, record_changed, record_planned
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.common.checks import CheckCode
-from sightline.imaging import write_dicom
 from sightline.twin import SetUp
 from sightline.twin.xray.setup import BEAMS
 
@@ -35,9 +35,8 @@ def three() -> SetUp:
 
 
 @pytest.fixture(scope="module")
-def files(three: SetUp, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    folder, images = tmp_path_factory.mktemp("block"), three_images(three, np.random.default_rng(32))
-    return {name: write_dicom(image, folder / f"{name}.dcm").read_bytes() for name, image in images.items()}
+def files(three: SetUp, worked: Worked) -> dict[str, bytes]:
+    return {name: file.read_bytes() for name, file in three_files(worked.folder, three).items()}
 
 
 def _in_plane(three: SetUp) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.worked import Worked, make_once
 from typer.testing import CliRunner
 
 from sightline.cli import commands
@@ -55,12 +56,19 @@ def run() -> Callable[..., Ran]:
 
 
 @pytest.fixture(scope="session")
-def pair(setup, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A DICOM image of each view. Read-only: tests that spoil a file copy it first."""
-    folder = tmp_path_factory.mktemp("pair")
-    rng = np.random.default_rng(8)
-    scene = hip_scene(setup, rng).scene
-    return {view: write_dicom(render(setup, view, scene, rng), folder / f"{view}.dcm") for view in VIEWS}
+def pair(setup, worked: Worked) -> dict[str, Path]:
+    """A DICOM image of each view, drawn once for all processes. Read-only: tests that spoil a file copy it first."""
+    folder = worked.folder / "pair"
+
+    def draw() -> None:
+        folder.mkdir()
+        rng = np.random.default_rng(8)
+        scene = hip_scene(setup, rng).scene
+        for view in VIEWS:
+            write_dicom(render(setup, view, scene, rng), folder / f"{view}.dcm")
+
+    make_once(worked.folder, "pair", draw)
+    return {view: folder / f"{view}.dcm" for view in VIEWS}
 
 
 @pytest.fixture(scope="session")

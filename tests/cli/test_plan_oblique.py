@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.cli.picked import picks_file
-from tests.three import POINTS_MM, draw_three, three_images
+from tests.three import POINTS_MM, draw_three, three_files
+from tests.worked import Worked
 
 from sightline.case.journal import Case, Kind
-from sightline.imaging import write_dicom
 from sightline.twin import SetUp
 from sightline.twin.xray.setup import BEAMS
 
@@ -22,9 +22,8 @@ def three() -> SetUp:
 
 
 @pytest.fixture(scope="module")
-def files(three: SetUp, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder, images = tmp_path_factory.mktemp("three"), three_images(three, np.random.default_rng(32))
-    return {name: write_dicom(image, folder / f"{name}.dcm") for name, image in images.items()}
+def files(three: SetUp, worked: Worked) -> dict[str, Path]:
+    return three_files(worked.folder, three)
 
 
 def picks(folder: Path, three: SetUp) -> tuple[str, Path]:
