@@ -85,3 +85,14 @@ def test_a_map_and_beads_exclude_each_other(run, image: Path, tmp_path: Path, mo
 def test_several_images_need_a_map(run, image: Path, tmp_path: Path) -> None:
     told = run("undistort", image, image, "--out", tmp_path / "out")
     assert told.code == 2 and "one image with beads" in told.said
+
+
+def test_a_file_that_is_read_is_not_written_over(run, image: Path, tmp_path: Path) -> None:
+    before = image.read_bytes()
+    told = run("grid", image, "--pitch", 5, "--out", tmp_path / "map.json", "--picture", image)
+    assert told.code == 2 and "to read and to write" in told.said
+    points = tmp_path / "points.csv"
+    points.write_text("frame,point,view,u_px,v_px\n")
+    told = run("reconstruct", points, "--views", tmp_path / "views.json", "--out", tmp_path / "." / "points.csv")
+    assert told.code == 2 and "to read and to write" in told.said
+    assert image.read_bytes() == before

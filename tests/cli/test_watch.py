@@ -41,6 +41,12 @@ def test_a_source_can_be_inverted(frames: Path) -> None:
     np.testing.assert_array_equal(inverted.pixels, plain.white - plain.pixels)
 
 
+def test_frame_9_comes_before_frame_10(tmp_path: Path) -> None:
+    for k in (8, 9, 10, 11, 100):
+        write_png(Radiograph(np.full((16, 16), k, np.uint16), 4095), tmp_path / f"frame{k}.png")
+    assert [frame.image.pixels[0, 0] for frame in open_source(str(tmp_path))] == [8, 9, 10, 11, 100]
+
+
 def test_a_person_is_told_what_the_alarm_cannot_see(run, frames: Path) -> None:
     ran = run("watch", frames, "--planned", frames / "0.png")
     assert ran.code == 0

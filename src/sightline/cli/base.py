@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from inspect import Parameter, Signature, signature
+from itertools import chain
 from json import dumps
 from pathlib import Path
 from time import perf_counter
@@ -90,6 +91,7 @@ def command(app: typer.Typer, name: str, *examples: str) -> Callable[[Callable[.
 
         def run(context: typer.Context, **given: Any) -> None:
             with Output(**{name: context.meta[name] for name in ("json", "quiet", "every")}) as output:
+                _refuse_overwriting(given)
                 for key, group in groups.items():
                     given[key] = group(**{field.name: given.pop(field.name) for field in fields(group)})
                 body(output, **given)
@@ -101,6 +103,19 @@ def command(app: typer.Typer, name: str, *examples: str) -> Callable[[Callable[.
         return body
 
     return register
+
+
+_WRITTEN = ("out", "csv", "picture")  # parameters that name a file to write, in some command
+
+
+def _refuse_overwriting(given: dict[str, Any]) -> None:
+    """Raise UnusableInputError where a command would write over a file that it reads."""
+    for name in _WRITTEN:
+        if not isinstance(target := given.get(name), Path) or not target.is_file():
+            continue
+        others = [value if isinstance(value, list) else [value] for key, value in given.items() if key != name]
+        if any(isinstance(each, Path) and each.exists() and each.samefile(target) for each in chain(*others)):
+            raise UnusableInputError(f"{target.name} is given twice, to read and to write; name another file to write")
 
 
 Invert = Annotated[

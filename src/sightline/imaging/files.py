@@ -1,5 +1,6 @@
 """Read and write image files of all `FORMATS`. The first bytes identify the format, not the name."""
 
+import re
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -167,3 +168,14 @@ def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:
         largest = pixels.max()  # the saturation value is unknown: above the largest value
         return Radiograph(pixels, float(np.nextafter(largest, np.float32(np.inf))))
     raise ImageError(f"{name} holds {pixels.dtype} pixels; save them as 8-bit, 16-bit or floating-point numbers")
+
+
+def in_order(folder: Path) -> list[Path]:
+    """Return the visible files of a folder by name, numbers by value: frame2 before frame10."""
+    return sorted((file for file in folder.iterdir() if file.name[0] != "."), key=_by_numbers)
+
+
+def _by_numbers(file: Path) -> tuple[list[str | int], str]:
+    """Return a key of texts and numbers in turn; the name decides between 2 and 02."""
+    parts = re.split(r"([0-9]+)", file.name)
+    return [int(part) if k % 2 else part for k, part in enumerate(parts)], file.name

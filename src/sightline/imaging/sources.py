@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from sightline.errors import ImageError, SourceError, UnusableInputError
-from sightline.imaging.files import frames_in, read_image
+from sightline.imaging.files import frames_in, in_order, read_image
 from sightline.imaging.formats import is_image
 from sightline.imaging.radiograph import Radiograph
 
@@ -254,8 +254,8 @@ IMAGES_PER_S = 30.0  # playback rate of files: that of a C-arm's video
 def open_source(name: str, *, invert: bool = False) -> Source:
     """Open the source called `name`: a device number, a stream's address, a video, an image file or a folder of images.
 
-    Files are played at IMAGES_PER_S. Of a folder the images are played in the order of their names; hidden files and
-    other files are skipped. `invert`: each image is inverted, as by `read_image`.
+    Files are played at IMAGES_PER_S. Of a folder the images are played `in_order`; hidden and other files are skipped.
+    `invert`: each image is inverted, as by `read_image`.
     Raises UnusableInputError, ImageError, SourceError.
     """
     source = _source(name)
@@ -270,7 +270,7 @@ def _source(name: str) -> Source:
         raise UnusableInputError(
             f"no file or folder {name} exists; name one, a device by its number, or a stream by its address"
         )
-    files = [file for file in sorted(path.iterdir()) if file.name[0] != "."] if path.is_dir() else [path]
+    files = in_order(path) if path.is_dir() else [path]
     images = [file for file in files if is_image(file)]
     if path.is_dir() and not images:
         raise UnusableInputError("the folder holds no image; name the folder of the frames")

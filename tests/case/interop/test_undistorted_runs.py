@@ -166,6 +166,21 @@ class TestUndistortedRuns:
         with pytest.raises(UnusableInputError, match="other files"):
             undistort([one], grid, one)
 
+    def test_another_trial_of_the_same_size_is_not_taken_for_the_first(self, grid: GridMap, tmp_path: Path) -> None:
+        images = frames(4)  # .npy: all files have the same size
+        undistort([folder_of(tmp_path / "one", images[:2], ".npy")], grid, tmp_path / "out")
+        with pytest.raises(UnusableInputError, match="other runs"):
+            undistort([folder_of(tmp_path / "two", images[2:], ".npy")], grid, tmp_path / "out")
+
+    def test_frames_are_numbered_by_value(self, grid: GridMap, tmp_path: Path) -> None:
+        (tmp_path / "in").mkdir()
+        images = frames(3)
+        for number, image in zip((2, 10, 100), images, strict=True):
+            np.save(tmp_path / "in" / f"Frame{number}.npy", image)
+        files, _ = undistort([tmp_path / "in"], grid, tmp_path / "out")
+        for file, image in zip(files, images, strict=True):
+            np.testing.assert_array_equal(read_image(file).pixels, Undistorter(grid)(image, 65535.0))
+
     def test_frames_of_another_size_are_refused(self, grid: GridMap, tmp_path: Path) -> None:
         place = folder_of(tmp_path / "in", [frames(1)[0][:100]], ".png")
         with pytest.raises(UnusableInputError, match="150 x 100 pixels, the map is of 150 x 120"):

@@ -53,7 +53,10 @@ def balls(
     write_whole(out, "\n".join([_HEADER, *lines, ""]).encode())
     output.say(f"{len(poses)} of {len(found)} frames have a pose")
     if not poses or finder.body is None:
-        raise ReconstructionRefusedError(f"no frame shows the body; {out.name} says why for each")
+        raise ReconstructionRefusedError(
+            f"no frame shows the body; {out.name} says why for each: give the runs in the order of the views, without "
+            "distortion and of the size of the calibrated images"
+        )
     distances = _distances(finder.body, poses)
     title = "Distances between the balls, mm: mean and standard deviation over the frames"
     output.table(title, ("balls", "mean", "s.d."), [(a, f"{b:.3f}", f"{c:.3f}") for a, b, c in distances])
