@@ -83,6 +83,31 @@ def test_two_images_of_a_cube_and_tracked_points_give_their_places(run, cube: Pa
     assert (np.abs(off) < 4.0 * sd).all()
 
 
+def test_exported_views_give_the_same_places_and_errors(run, cube: Path, tmp_path: Path) -> None:
+    ran = run("export", "views", cube / "views.json", "--to", "xmalab,opencv", "--out", tmp_path / "cameras")
+    assert ran.code == 0, ran.said
+    seen = [matrix @ [11.3, -7.2, 5.9, 1.0] for matrix in MATRICES.values()]
+    cells = ",".join(f"{x / w},{y / w}" for x, y, w in seen)
+    (tmp_path / "p.csv").write_text(f"tip_cam1_X,tip_cam1_Y,tip_cam2_X,tip_cam2_Y\n{cells}\n")
+    pixels = ("--points", "undistorted", "--first-pixel", 0)
+    found = []
+    for form in (None, "mayacam2.txt", "opencv.json"):
+        files = [cube / "views.json"] if form is None else [tmp_path / "cameras" / f"{v}.{form}" for v in MATRICES]
+        given = [word for file in files for word in ("--views", file)]
+        run("reconstruct", tmp_path / "p.csv", *given, *pixels, "--out", tmp_path / "xyz.csv")
+        with (tmp_path / "xyz.csv").open(encoding="utf-8", newline="") as stream:
+            (row,) = csv.DictReader(stream)
+        found.append(row)
+    own, mayacam, opencv = found
+    for axis in ("x_mm", "y_mm", "z_mm"):
+        for other in (mayacam, opencv):  # as written, to 0.0001 mm
+            assert float(other[axis]) == pytest.approx(float(own[axis]), abs=1.5e-4)
+    assert mayacam["xx_mm2"] == ""  # the format states no errors
+    assert float(opencv["zz_mm2"]) == pytest.approx(float(own["zz_mm2"]), rel=0.03)
+    told = run("export", "views", cube / "views.json", cube / "cam2.png", "--out", tmp_path / "cameras")
+    assert told.code == 2 and "leave out other images" in told.said
+
+
 BODY_MM = np.array([[0.0, 0.0, 0.0], [17.3, 2.1, -1.4], [4.8, 21.9, 3.3], [-6.2, 8.7, 14.1]])
 POSES = [Rotation.from_euler("xyz", [15.0 * k - 20.0, 9.0 * k, 31.0], degrees=True) for k in range(3)]
 

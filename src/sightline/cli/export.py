@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,12 +24,16 @@ from sightline.cli.base import (
 from sightline.cli.calibrate import see
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
 
     from sightline.calibration import BeadView
     from sightline.calibration.exchange.pinhole import Pinhole
+    from sightline.calibration.view import CalibratedView
     from sightline.case.interop.plan_file import PlanFile
     from sightline.case.views import ObservedView
+    from sightline.common.checks import Check
 
 app = group("export", "Write files for other programs.")
 PLAN_FORMATS = ("slicer", "mrb", "itk", "dicom", "csv", "igtl")
@@ -38,7 +43,7 @@ PLAN_FORMATS = ("slicer", "mrb", "itk", "dicom", "csv", "igtl")
 class ImageOptions:
     """The images whose views are exported."""
 
-    pa: Annotated[Path, typer.Argument(help="Image of one view, or observations as CSV.")]
+    pa: Annotated[Path, typer.Argument(help="Image of one view, or observations as CSV; for `views` also views.json.")]
     lateral: Annotated[Path | None, typer.Argument(help="Image of the other view.", show_default=False)] = None
     frame: ImagesFrame = None
     invert: Invert = False
@@ -69,17 +74,57 @@ def views(
     from sightline.calibration.exchange.rtk import write_stack
 
     formats = [check_format(name.strip()) for name in to.split(",")]
-    calibrated = _calibrate(output, images, pixels=raw)
+    exported = _saved(images)
+    if not exported:
+        calibrated = _calibrate(output, images, pixels=raw)
+        exported = [(*_exported(view, seen, raw=raw), view.checks) for view, seen in calibrated]
     files: dict[str, bytes] = {}
-    exported = [_exported(view, seen, raw=raw) for view, seen in calibrated]
-    for (view, _), (pinhole, pixels, _) in zip(calibrated, exported, strict=True):
+    for pinhole, pixels, _, _ in exported:
         if pixels is not None and not raw:
-            files[f"{view.name}.png"] = cv2.imencode(".png", pixels)[1].tobytes()
+            files[f"{pinhole.name}.png"] = cv2.imencode(".png", pixels)[1].tobytes()
         for name in formats:
             files |= write_view(pinhole, name, pixels)
+    pinholes, images_of, documents, checks = zip(*exported, strict=True)
     if "rtk" in formats and len(exported) > 1:
-        files |= write_stack([pinhole for pinhole, _, _ in exported], [pixels for _, pixels, _ in exported])
-    _finish(output, out, files, [document for _, _, document in exported], [view for view, _ in calibrated])
+        files |= write_stack(pinholes, images_of)
+    _finish(output, out, files, documents, list(chain(*checks)))
+
+
+def _saved(images: ImageOptions) -> "list[tuple[Pinhole, np.ndarray | None, dict[str, Any], Sequence[Check]]]":
+    """Return the views of a file of views as `reconstruct` uses them, without pixels; none for an image.
+
+    Raises UnusableInputError.
+    """
+    from sightline.calibration import BeadView, MatrixView
+    from sightline.calibration.solids.calibrate_together import adjusted_together
+    from sightline.case.interop.plate import pinhole_of
+    from sightline.case.saved.files import saved_views
+    from sightline.errors import UnusableInputError
+
+    views = saved_views(images.pa)
+    if views is None:
+        return []
+    if images != ImageOptions(images.pa):
+        raise UnusableInputError(f"{images.pa.name} holds calibrated views; leave out other images, --frame, --invert")
+    exported: list[tuple[Pinhole, np.ndarray | None, dict[str, Any], Sequence[Check]]] = []
+    for view in adjusted_together(views):
+        assert isinstance(view, BeadView | MatrixView)  # noqa: S101 - what `saved_views` reads
+        pinhole = _marked(pinhole_of(view), view)
+        document = {"view": pinhole.name, "image": "as calibrated", **_geometry(pinhole)}
+        exported.append((pinhole, None, document, view.checks))
+    return exported
+
+
+def _marked(pinhole: "Pinhole", view: "CalibratedView") -> "Pinhole":
+    """Return a pinhole whose note, which is written into its file, names the failed checks of the view."""
+    from sightline.common.checks import failed
+
+    bad = ", ".join(check.name for check in failed(view.checks))
+    return replace(pinhole, note=f"{pinhole.note}; NOT TO BE TRUSTED, checks failed: {bad}") if bad else pinhole
+
+
+def _geometry(pinhole: "Pinhole") -> dict[str, Any]:
+    return {name: getattr(pinhole, name) for name in ("matrix", "shape", "pixel_mm", "note")}
 
 
 @command(app, "undistorted", "sightline export undistorted pa.dcm lateral.dcm --out out/plates")
@@ -111,7 +156,7 @@ def undistorted(
         files[f"{view.name}.opencv.json"] = json_bytes(opencv.document(pinhole))
         for name in to.split(","):
             files |= encode(name.strip(), view.name, pixels, seen.image.white, pinhole)
-    _finish(output, out, files, documents, [view for view, _ in calibrated])
+    _finish(output, out, files, documents, [check for view, _ in calibrated for check in view.checks])
 
 
 @command(app, "plan", "sightline export plan out/plan --to csv,slicer --out out/export")
@@ -251,12 +296,8 @@ _Exported = tuple["Pinhole", "np.ndarray | None", dict[str, Any]]
 
 
 def _exported(view: "BeadView", seen: "ObservedView", spacing: float | None = None, *, raw: bool = False) -> _Exported:
-    """Return the pinhole and the pixels, or None, of the undistorted image, or of the raw one, and their document.
-
-    Failed checks are in the pinhole's note, which is written into the file.
-    """
+    """Return the pinhole and the pixels, or None, of the undistorted image, or of the raw one, and their document."""
     from sightline.case.interop.plate import plate_image, raw_pinhole
-    from sightline.common.checks import failed
 
     given = None if seen.image is None else seen.image.pixels
     if raw:
@@ -266,24 +307,26 @@ def _exported(view: "BeadView", seen: "ObservedView", spacing: float | None = No
     else:
         plate, residual = plate_image(view, given, spacing), 0.0
         pinhole, pixels = plate.pinhole, plate.pixels
-    if bad := ", ".join(check.name for check in failed(view.checks)):
-        pinhole = replace(pinhole, note=f"{pinhole.note}; NOT TO BE TRUSTED, checks failed: {bad}")
+    pinhole = _marked(pinhole, view)
     image = {"image": "raw" if raw else "undistorted", "residual_px": residual}
-    geometry = {name: getattr(pinhole, name) for name in ("matrix", "shape", "pixel_mm", "note")}
-    return pinhole, pixels, {"view": view.name, "source": seen.source, **image, **geometry}
+    return pinhole, pixels, {"view": view.name, "source": seen.source, **image, **_geometry(pinhole)}
 
 
 def _finish(
-    output: Output, folder: Path, files: dict[str, bytes], documents: list[dict[str, Any]], views: "list[BeadView]"
+    output: Output,
+    folder: Path,
+    files: dict[str, bytes],
+    documents: "Sequence[dict[str, Any]]",
+    checks: "Sequence[Check]",
 ) -> None:
     from sightline.common.atomic import write_folder
 
     written = write_folder(folder, files)
     for document in documents:
-        height, width = document["shape"]
+        height, width = document["shape"] or ("?", "?")
         output.say(f"{document['view']}: {width} x {height} pixels, {document['image']}; {document['note']}")
     output.written(written)
-    output.result({"views": documents, "files": written}, [check for view in views for check in view.checks])
+    output.result({"views": documents, "files": written}, checks)
 
 
 def _originals(texts: list[str] | None) -> dict[str, Path]:

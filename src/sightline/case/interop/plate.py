@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from sightline.calibration import BeadView
+from sightline.calibration import BeadView, MatrixView
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.maps.undistort import PlaneImage, undistort
+from sightline.calibration.matrix_view import HomographyMap
 from sightline.calibration.view import LinesOfSight
 from sightline.errors import RefusedError
 
@@ -100,7 +101,24 @@ def _response(matrix: np.ndarray, uv_px: np.ndarray, sight: LinesOfSight) -> np.
     return jacobian
 
 
-def raw_pinhole(view: BeadView, shape: tuple[int, int]) -> tuple[Pinhole, float]:
+def pinhole_of(view: BeadView | MatrixView) -> Pinhole:
+    """Return the pinhole of a calibrated view of an image without distortion, or of the nearest one, with its errors
+    as far as it is exact.
+
+    Raises RefusedError above MAX_RESIDUAL_PX.
+    """
+    if isinstance(view, MatrixView):
+        return Pinhole.of_matrix(view.matrix, view.name, covariance=view.covariance)
+    pinhole, _ = raw_pinhole(view, view.image_shape)
+    if not isinstance(view.plane_map, HomographyMap):
+        return pinhole
+    low, high = view.hull.corners_px.min(axis=0), view.hull.corners_px.max(axis=0)
+    uv = np.stack(np.meshgrid(*np.linspace(low, high, _GRID).T), axis=-1).reshape(-1, 2)
+    uv = uv[view.hull.contains(uv)]
+    return _with_errors(replace(pinhole, note=""), uv, view.lines_of_sight(uv))
+
+
+def raw_pinhole(view: BeadView, shape: tuple[int, int] | None) -> tuple[Pinhole, float]:
     """Return the pinhole that fits the raw image (H, W) best, with the view's focal point, and its largest residual
     inside the convex hull of the beads, px. It has no covariance: the remaining distortion is not noise.
 
