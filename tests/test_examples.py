@@ -1,13 +1,28 @@
 """The examples run, on what the demo wrote."""
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock, patch
 from xml.etree import ElementTree
 
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+# Of docs/live.md, and the CT that a person loads.
+LIVE_NAMES = {
+    "live",
+    "live-to-cfcs",
+    "pa",
+    "wire-to-cfcs",
+    "tool-to-cfcs",
+    "ct-to-cfcs",
+    "cfcs-to-ras",
+    "verdict",
+    "CT",
+}
 
 
 def run(name: str, *arguments: Path | str) -> str:
@@ -23,6 +38,7 @@ def test_every_example_is_run_here() -> None:
         "plan_from_csv.py",
         "plant_template.py",  # tests/cli/test_real_robot.py
         "readme_picture.py",
+        "slicer_live.py",
     }
 
 
@@ -47,3 +63,41 @@ def test_the_accuracy_of_a_frame() -> None:
     said = run("frame_accuracy.py", "gamma", "3")
     assert "careful clicks" in said
     assert "refused 0" in said
+
+
+def test_in_slicer_everything_hangs_below_the_patient_and_only_a_go_shows_the_wire() -> None:
+    """On a stand-in of Slicer's scene: nodes by name, each below its parent."""
+    nodes: dict[str, MagicMock] = {}
+
+    def added(kind: str, name: str) -> MagicMock:
+        nodes[name] = MagicMock()
+        nodes[name].GetID.return_value = name
+        return nodes[name]
+
+    scene = SimpleNamespace(AddNewNodeByClass=added, GetFirstNodeByName=nodes.get)
+    modules = {"slicer": SimpleNamespace(mrmlScene=scene), "qt": MagicMock(), "vtk": MagicMock()}
+    with patch.dict(sys.modules, modules):
+        script = runpy.run_path(str(EXAMPLES / "slicer_live.py"))
+    for name in LIVE_NAMES:
+        added("", name)
+    nodes["Sightline"].GetState.return_value = nodes["Sightline"].StateConnected
+    seen = []
+    for verdict in ("NO-GO (gap)", "GO"):
+        nodes["verdict"].GetText.return_value = verdict
+        script["arrange"]()
+        seen.append(nodes["planned wire"].SetDisplayVisibility.call_args.args[0])
+    nodes["Sightline"].GetState.return_value = None
+    script["arrange"]()
+    seen.append(nodes["planned wire"].SetDisplayVisibility.call_args.args[0])
+    assert seen == [False, True, False]
+    parents = {
+        name: node.SetAndObserveTransformNodeID.call_args.args[0]
+        for name, node in nodes.items()
+        if node.SetAndObserveTransformNodeID.called
+    }
+    path = ["CT"]
+    while path[-1] in parents:
+        path.append(parents[path[-1]])
+    assert path == ["CT", "ras-to-lps", "ct-to-cfcs", "cfcs-to-ras"]
+    assert parents["planned wire"] == "wire-to-cfcs"
+    assert all(parents[name] == "cfcs-to-ras" for name in LIVE_NAMES - {"CT", "verdict", "cfcs-to-ras"})

@@ -2,14 +2,21 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from tests.detection.frame_images import SIZE, beads, image
 
-from sightline.case.watch.analyser import BLIND_TO
+from sightline.case.live import LIVE
+from sightline.case.watch.analyser import BLIND_TO, Watched
+from sightline.errors import LinkError
 from sightline.imaging import Radiograph, write_png
 from sightline.imaging.sources import open_source
+from sightline.robot.igtl import Message, String
+from sightline.robot.transport import BlockingClient
+from sightline.robot.transport.broadcast import Broadcast
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +65,52 @@ def test_images_without_beads_are_refused(run, tmp_path: Path) -> None:
     ran = run("watch", tmp_path)
     assert ran.code == 3
     assert "none of 1 frames" in ran.err
+
+
+@pytest.mark.parametrize("address", ["igtl:x", "ros2:/sightline"])
+def test_what_cannot_be_served_is_refused(run, frames: Path, address: str) -> None:
+    ran = run("watch", frames, "--serve", address)
+    assert ran.code == 2
+    assert "igtl:PORT" in ran.said
+
+
+class Known(Broadcast):
+    """A server that a test can find."""
+
+    all: ClassVar[list[Broadcast]] = []
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.all.append(self)
+
+
+@pytest.mark.parametrize("go", [True, False])
+def test_readers_are_sent_image_view_plan_and_status(
+    run, frames: Path, monkeypatch: pytest.MonkeyPatch, go: bool
+) -> None:
+    said, side = ("GO", "left") if go else ("NO-GO (failed: gap)", None)
+    points = np.array([[-20.3, 11.2, -9.7], [22.1, -14.6, 13.4]])
+    plan = SimpleNamespace(go=go, verdict=said, side=side, of_solid=False, points_mm=points, trajectory=None)
+    came: dict[str, Message] = {}
+
+    def follow(watching: Any, *_: object) -> list[Watched]:
+        """In place of the loop that prints: read until the live image has come."""
+        with BlockingClient(port=Known.all[-1].port) as reader:
+            while LIVE not in came:
+                event = reader.receive(20.0)
+                assert isinstance(event, Message)
+                came[event.device_name] = event
+        return [watching.latest()]
+
+    monkeypatch.setattr("sightline.robot.transport.broadcast.Broadcast", Known)
+    monkeypatch.setattr("sightline.cli.watch._planned", lambda *_: plan)
+    monkeypatch.setattr("sightline.cli.watch._follow", follow)
+    ran = run("watch", frames, "--serve", "igtl:0", "--plan", frames)
+    assert ran.code == 0, ran.err
+    assert f"127.0.0.1:{Known.all[-1].port}" in ran.out
+    always = {"live", "live-to-cfcs", "plan", "verdict", "status"}
+    assert came.keys() == always | ({"wire-to-cfcs", "cfcs-to-ras"} if go else set())
+    assert came["verdict"].body == String(said)
+    assert len(came["plan"].body.paths) == int(go)
+    with pytest.raises(LinkError):
+        BlockingClient(port=Known.all[-1].port)

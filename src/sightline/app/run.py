@@ -41,8 +41,15 @@ class Settings:
 _SWITCH_S = 0.0005
 
 
-def run(settings: Settings, worker: WorkerProcess, on_ready: Callable[["ServedApp"], None]) -> None:
-    """Serve until Ctrl-C, and end the worker. Raises CaseError, FrameError, UnusableInputError."""
+def run(
+    settings: Settings,
+    worker: WorkerProcess,
+    on_ready: Callable[["ServedApp"], None],
+    on_session: Callable[[Session], None] = lambda _: None,
+) -> None:
+    """Serve until Ctrl-C, and end the worker. `on_session` is called with each session that is opened.
+
+    Raises CaseError, FrameError, UnusableInputError."""
     sys.setswitchinterval(_SWITCH_S)
     with closing(worker):
         session = Session.open(settings.folder, settings.frame, settings.patient, worker)
@@ -73,6 +80,7 @@ def run(settings: Settings, worker: WorkerProcess, on_ready: Callable[["ServedAp
 
         def start(site: "ServedApp") -> None:
             shown.append(Pictures(site.images))
+            on_session(session)
             session.jobs.start(session.planning.start())  # while the browser still loads
 
         def ready(site: "ServedApp") -> None:

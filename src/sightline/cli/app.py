@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.base import Output, Rehearsed, command, commands
+from sightline.cli.base import Output, Rehearsed, ServeAt, command, commands, serving
 from sightline.cli.demo import DEFAULT, SEED, SEEDS, frame_for
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ def app(
     fast_robot: Annotated[
         bool, typer.Option("--fast-robot", help="Run the simulated robot as fast as the machine computes.")
     ] = False,
+    serve: ServeAt = None,
 ) -> None:
     """Plan, drill and check a wire in the browser.
 
@@ -111,5 +112,12 @@ def app(
     def ready(site: "ServedApp") -> None:
         output.say(f"open {site.url} in a browser; stop with Ctrl-C")
 
-    run(settings, worker, ready)
+    if serve is None:
+        run(settings, worker, ready)
+    else:
+        from sightline.app.session.shown import ShownSession
+
+        outside = ShownSession()
+        with serving(serve, outside, output):
+            run(settings, worker, ready, outside.follow)
     output.result({"case": folder})

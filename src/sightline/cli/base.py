@@ -192,6 +192,14 @@ WireKey = Annotated[
     typer.Option("--wire", help="Key of the wire, where several were planned together.", show_default=False),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same files.")]
+ServeAt = Annotated[
+    str | None,
+    typer.Option(
+        "--serve",
+        metavar="igtl:PORT",
+        help="Show images, poses, plan and verdict to other programs on this machine, such as 3D Slicer.",
+    ),
+]
 OutFolder = Annotated[Path, typer.Option("--out", help="Folder for the files.")]
 
 
@@ -237,6 +245,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from sightline.case.live import LiveState
     from sightline.frame import Frame
 
 # Typer turns these into exit codes itself.
@@ -244,6 +253,20 @@ _PASSED_ON = (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError)
 _REFUSED, _NOT_VERIFIED, _BUG = 3, 4, 1
 _PIPE_COLUMNS = 1000  # [ours] more than any row has
 _SIGNALLED = 128  # plus the signal's number, as shells expect
+
+
+@contextmanager
+def serving(at: str | None, state: "Callable[[], LiveState]", output: "Output") -> Generator[None]:
+    """Serve the state by OpenIGTLink, if asked for. Raises UnusableInputError, LinkError."""
+    if at is None:
+        yield
+        return
+    from sightline.case.live import LiveMessages
+    from sightline.robot.transport.broadcast import Broadcast, port_of
+
+    with Broadcast(LiveMessages(state), port_of(at)) as server:
+        output.say(f"OpenIGTLink at 127.0.0.1:{server.port}, for programs on this machine")
+        yield
 
 
 class Terminated(KeyboardInterrupt):

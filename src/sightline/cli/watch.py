@@ -2,15 +2,28 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.base import ImagesFrame, Invert, Output, WireKey, command, commands, frame_of_images
+from sightline.cli.base import (
+    ImagesFrame,
+    Invert,
+    Output,
+    ServeAt,
+    WireKey,
+    command,
+    commands,
+    frame_of_images,
+    serving,
+)
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
+    from sightline.case.interop.plan_file import PlanFile
+    from sightline.case.live import LiveState
     from sightline.case.watch.analyser import TimedImage, Watched
     from sightline.case.watch.live import Watch
     from sightline.frame import Frame
@@ -35,7 +48,12 @@ class LiveOptions:
     invert: Invert = False
 
 
-@command(commands, "watch", "sightline watch 0 --plan out/plan", "sightline watch --rehearse 1 --seconds 10")
+@command(
+    commands,
+    "watch",
+    "sightline watch 0 --plan out/plan",
+    "sightline watch --rehearse 1 --seconds 10 --serve igtl:18944",
+)
 def watch(
     output: Output,
     *,
@@ -50,6 +68,7 @@ def watch(
         ),
     ] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time.", show_default=False)] = None,
+    serve: ServeAt = None,
 ) -> None:
     """Watch a live image and report movements.
 
@@ -62,11 +81,13 @@ def watch(
     frame = frame_of_images(output, live.frame)
     frame.refuse_solid("a live image is watched by the plates of a frame")
     images, drawn = _opened(live, frame, output)
-    drawn = drawn if plan is None else _planned(plan, wire, frame, output)
+    known = None if plan is None else _planned(plan, wire, frame, output)
+    drawn = drawn if known is None else known.trajectory
     with output.step("planning images"):
         references = [_reference(path, frame, invert=live.invert) for path in planned or ()]
     output.note(BLIND_TO)
-    with Watch(frame, images, drawn, references) as watching:
+    watching = Watch(frame, images, drawn, references)
+    with watching, serving(serve, partial(_state, watching, known), output):
         tally = _follow(watching, output, seconds)
     output.result(_summary(tally, watching) | {"blind_to": BLIND_TO})
 
@@ -87,7 +108,7 @@ def _opened(live: LiveOptions, frame: "Frame", output: Output) -> "tuple[Iterabl
     return stream, stream.wire
 
 
-def _planned(path: Path, wire: str | None, frame: "Frame", output: Output) -> "Trajectory":
+def _planned(path: Path, wire: str | None, frame: "Frame", output: Output) -> "PlanFile":
     """Raises UnusableInputError."""
     from sightline.case.interop.plan_file import PlanFile
     from sightline.errors import UnusableInputError
@@ -100,7 +121,19 @@ def _planned(path: Path, wire: str | None, frame: "Frame", output: Output) -> "T
         )
     if not plan.go:
         output.note(f"the plan drawn is {plan.verdict}")
-    return plan.trajectory
+    return plan
+
+
+def _state(watching: "Watch", plan: "PlanFile | None") -> "LiveState":
+    """Return what readers of `--serve` are shown now."""
+    from sightline.case.live import STATUS, LiveState, shown_of, status_of
+
+    newest = watching.latest()
+    shown = LiveState({STATUS: status_of(newest)}, shown_of(newest))
+    if plan is None:
+        return shown
+    wire, side = plan.points_mm if plan.go else None, None if plan.of_solid else plan.side
+    return replace(shown, verdict=plan.verdict, wire_mm=wire, side=side)
 
 
 def _reference(path: Path, frame: "Frame", *, invert: bool) -> "BeadView":

@@ -28,13 +28,14 @@ class Outbox:
 
     def __init__(self):
         self.dropped = 0  # number of dropped telemetry messages
+        self._newest: dict[str, bytes] = {}  # by name, taken after all others
         self._waiting: dict[int, bytes] = {}  # by number, in common order of answers and telemetry
         self._telemetry: dict[int, None] = {}  # the numbers of telemetry, oldest first
         self._answer_bytes = 0
         self._next = 0
 
     def __len__(self) -> int:
-        return len(self._waiting)
+        return len(self._waiting) + len(self._newest)
 
     def put_answer(self, data: bytes) -> None:
         """Add an answer. Raises LinkError if so many answers wait that the peer cannot be reading."""
@@ -52,11 +53,18 @@ class Outbox:
         self._telemetry[self._next] = None
         self._put(data)
 
+    def put_newest(self, name: str, data: bytes) -> None:
+        """Add telemetry in place of what waits under its name, which is dropped."""
+        self.dropped += name in self._newest
+        self._newest[name] = data
+
     def take(self) -> bytes:
         """Remove and return the next message. Raises KeyError if nothing waits."""
         number = next(iter(self._waiting), None)
         if number is None:
-            raise KeyError("nothing waits")
+            if not self._newest:
+                raise KeyError("nothing waits")
+            return self._newest.pop(next(iter(self._newest)))
         data = self._waiting.pop(number)
         if number in self._telemetry:
             del self._telemetry[number]
@@ -156,6 +164,11 @@ class Connection(asyncio.Protocol):
         data = encode(message)
         if not self._written_at_once(data):
             self._outbox.put_telemetry(data)
+
+    def show(self, name: str, data: bytes) -> None:
+        """Send an encoded message; while the peer reads too slowly, only the newest of its `name` waits."""
+        if not self._written_at_once(data):
+            self._outbox.put_newest(name, data)
 
     @contextmanager
     def joined(self) -> Generator[None]:
