@@ -74,7 +74,7 @@ class Radiograph(Plotted):
     @property
     def pixels_sha256(self) -> str:
         """SHA-256 of the pixels, in hexadecimal."""
-        return sha256(np.ascontiguousarray(self.pixels)).hexdigest()
+        return sha256(self.pixels.tobytes()).hexdigest()
 
     def summary(self) -> str:
         """Return size, type and range of the pixels, and the geometry that the file states."""
