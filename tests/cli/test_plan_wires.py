@@ -83,7 +83,7 @@ def test_plan_json_holds_all_wires_and_is_exported(run, planned, tmp_path: Path)
 
 def test_a_live_image_shows_the_wire_that_is_named(planned) -> None:
     drawn = _planned(planned[1] / "plan", "anterior", Frame.load("gamma"), Output(json=False, quiet=True))
-    assert np.linalg.norm(drawn.points.xyz_mm - WIRES_MM[1], axis=1).max() < 1.5
+    assert np.linalg.norm(drawn.points_mm - WIRES_MM[1], axis=1).max() < 1.5
 
 
 def test_a_case_keeps_each_wire_and_computes_it_again(run, planned) -> None:
