@@ -49,7 +49,7 @@ def test_a_bone_is_found_and_its_error_is_the_stated_one(seed: int) -> None:
 @pytest.mark.slow
 def test_no_start_is_needed() -> None:
     scene = balls.Scene()
-    pose = register_bone(balls.bone(voxel_mm=2.0), scene.images(), scene.views)
+    pose = register_bone(balls.bone(), scene.images(), scene.views)
     assert pose.trusted, pose
     assert errors_mm(pose).max() < 0.3
 
