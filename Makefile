@@ -22,11 +22,11 @@ $(READY): requirements.lock pyproject.toml
 	$(PIP) --no-deps --no-build-isolation -e .
 	@touch $@
 
-# The first demo compiles the kernels and keeps them; those that label a block are not among them. Tests in several
-# processes would wait for one that compiles.
+# The first demo compiles the kernels and keeps them; those that label a block or register a bone are not among them.
+# Tests in several processes would wait for one that compiles.
 $(KERNELS): $(TOOLS)
 	-@$(BIN)/sightline demo --quiet --out $(VENV)/first-run
-	-@$(BIN)/python -m pytest -q tests/detection/test_cloud.py -k hundred >$(VENV)/first-run/kernels.txt
+	-@$(BIN)/python -m pytest -q tests/detection/test_cloud.py tests/registration -k "hundred or three_views" >$(VENV)/first-run/kernels.txt
 	@touch $@
 
 $(TOOLS): $(READY) requirements-dev.lock
