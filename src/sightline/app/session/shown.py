@@ -23,7 +23,7 @@ class ShownSession:
         self._planned = LiveState()
 
     def follow(self, session: "Session") -> None:
-        """Show this session from now on. Must run on the event loop."""
+        """Show `session` from now on. Must run on the event loop."""
 
         def update() -> None:
             self._session, self._planned = session, _planned(session)

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from scipy.special import ndtri
 
+from sightline.common.geometry.covariance import length_quantile
 from sightline.from_images.registration import errors
 from sightline.from_images.registration.align import FINE, BoneFit, align
 from sightline.from_images.registration.bone import ScannedBone
@@ -17,7 +17,6 @@ from sightline.from_images.registration.observed import BoneShot
 # femur's shaft, as blur and threshold leave them [gVirtualXray: chi-squares of single views' poses are then 1.3 of what
 # they should be].
 _SIZE_SD = 0.002
-_SIGMA_95 = float(ndtri(0.975))
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,5 +62,5 @@ def apart(shots: Sequence[BoneShot], bone: ScannedBone, fit: BoneFit) -> Apart:
         size[k, 3:] = _SIZE_SD * beam
         way = np.append(np.zeros(3), beam / np.linalg.norm(beam))
         variance = way @ (covariance[part, part] + np.outer(size[k], size[k])) @ way
-        along.append(None if calibration is None else float(_SIGMA_95 * np.sqrt(variance)))
+        along.append(None if calibration is None else float(length_quantile(np.array([[variance]]))))
     return Apart(poses, steps, covariance + np.outer(size, size), along)
