@@ -29,7 +29,7 @@ from benchmarks.harness import Refusal, Rows, finished, time_ms, trials
 from benchmarks.scenes.bones import FIRST_SEED, draw_bone_scene
 from sightline.from_images.registration import ScannedBone, register_bone
 
-TRIALS, FAULT_TRIALS, QUICK = 300, 120, 4
+TRIALS, FAULT_TRIALS, QUICK = 300, 300, 4
 PEER_TRIALS = 20
 MOVED_SCENES, NOTICED, MAX_HIDDEN = 20, 0.95, 1.0
 # Mean error over the targets of a pose that counts as found, and of one that counts as wrong [ours].
@@ -69,7 +69,7 @@ def run(quick: bool) -> Rows:
     rows.add("scenes whose beads give no views", out)
     for add in (right_rows, refusal_rows, coverage_rows):
         add(rows, scenes)
-    fault_rows(rows, FAULT_TRIALS // 20 if quick else FAULT_TRIALS)
+    fault_rows(rows, 6 if quick else FAULT_TRIALS)
     movement_rows(rows, 1 if quick else MOVED_SCENES, 3 if quick else FAULT_TRIALS)
     peer_rows(rows, 1 if quick else PEER_TRIALS)
     time_rows(rows)
