@@ -50,12 +50,13 @@ slow: $(TOOLS) $(KERNELS)  ## what is too slow for `make test`; on Linux with RO
 	test "$$(uname)" != Linux || $(MAKE) ros2
 
 # ROS 2 restarts each Python that it is installed for, so it has an environment of its own, which sees the other.
-ros2: $(VENV)/.ros2  ## the tests against ROS 2 (262 MB, Linux)
+ros2: $(VENV)/.ros2  ## the tests against ROS 2 (262 MB, Linux with gcc)
 	OPENBLAS_NUM_THREADS=1 $(VENV)/ros2/bin/python -m pytest -m slow tests/robot/test_ros2.py
 
-$(VENV)/.ros2: $(TOOLS) requirements-ros2.lock
+$(VENV)/.ros2: $(TOOLS) requirements-ros2.lock tools/build_tf2_msgs.py
 	$(PYTHON) -m venv $(VENV)/ros2
 	$(VENV)/ros2/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-ros2.lock
+	$(VENV)/ros2/bin/python tools/build_tf2_msgs.py
 	cd $(VENV)/ros2/lib/python*/site-packages && realpath $(CURDIR)/src ../../../../lib/python*/site-packages > sightline.pth
 	@touch $@
 
