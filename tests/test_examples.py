@@ -38,6 +38,7 @@ def test_every_example_is_run_here() -> None:
         "plan_from_csv.py",
         "plant_template.py",  # tests/cli/test_real_robot.py
         "readme_picture.py",
+        "ros2_live.py",  # tests/robot/test_ros2.py
         "slicer_live.py",
     }
 

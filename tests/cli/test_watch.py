@@ -1,6 +1,7 @@
 """`sightline watch` over folders of images: a line of JSON for each frame, a last one, exit codes."""
 
 import json
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -67,13 +68,6 @@ def test_images_without_beads_are_refused(run, tmp_path: Path) -> None:
     assert "none of 1 frames" in ran.err
 
 
-@pytest.mark.parametrize("address", ["igtl:x", "ros2:/sightline"])
-def test_what_cannot_be_served_is_refused(run, frames: Path, address: str) -> None:
-    ran = run("watch", frames, "--serve", address)
-    assert ran.code == 2
-    assert "igtl:PORT" in ran.said
-
-
 class Known(Broadcast):
     """A server that a test can find."""
 
@@ -82,6 +76,21 @@ class Known(Broadcast):
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
         self.all.append(self)
+
+
+@pytest.mark.parametrize(
+    ("address", "reason"), [("igtl:x", "igtl:PORT"), ("ros2:x", "a namespace"), ("ros2:/x", "needs ROS 2")]
+)
+def test_what_cannot_be_served_is_refused(
+    run, frames: Path, address: str, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sightline.robot.transport.broadcast.Broadcast", Known)
+    monkeypatch.setitem(sys.modules, "tf2_msgs", None)
+    ran = run("watch", frames, "--serve", "igtl:0", "--serve", address)
+    assert ran.code == 2
+    assert reason in ran.said
+    with pytest.raises(LinkError):  # what was served before has ended
+        BlockingClient(port=Known.all[-1].port)
 
 
 @pytest.mark.parametrize("go", [True, False])

@@ -107,7 +107,11 @@ class LiveMessages:
 
     def __call__(self) -> list[Message]:
         """Return the messages of now."""
-        state, now = self._state(), timestamp_of(time.time())
+        return self.of(self._state())
+
+    def of(self, state: LiveState) -> list[Message]:
+        """Return the messages of `state`."""
+        now = timestamp_of(time.time())
         poses = {f"{name}-to-cfcs": view_pose(shown.view) for name, shown in state.images.items()}
         if state.bone is not None and state.bone.trusted:
             poses[f"{CT}-to-cfcs"] = state.bone.matrix

@@ -112,7 +112,7 @@ def app(
     def ready(site: "ServedApp") -> None:
         output.say(f"open {site.url} in a browser; stop with Ctrl-C")
 
-    if serve is None:
+    if not serve:
         run(settings, worker, ready)
     else:
         from sightline.app.session.shown import ShownSession

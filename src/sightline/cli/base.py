@@ -5,7 +5,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from inspect import Parameter, Signature, signature
 from itertools import chain
@@ -193,11 +193,12 @@ WireKey = Annotated[
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same files.")]
 ServeAt = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         "--serve",
-        metavar="igtl:PORT",
-        help="Show images, poses, plan and verdict to other programs on this machine, such as 3D Slicer.",
+        metavar="igtl:PORT|ros2:/NAMESPACE",
+        help="Show images, poses, plan and verdict to other programs, such as 3D Slicer or RViz. May be repeated.",
+        show_default=False,
     ),
 ]
 OutFolder = Annotated[Path, typer.Option("--out", help="Folder for the files.")]
@@ -246,6 +247,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from sightline.case.live import LiveState
+    from sightline.common.closing import Closing
     from sightline.frame import Frame
 
 # Typer turns these into exit codes itself.
@@ -256,17 +258,27 @@ _SIGNALLED = 128  # plus the signal's number, as shells expect
 
 
 @contextmanager
-def serving(at: str | None, state: "Callable[[], LiveState]", output: "Output") -> Generator[None]:
-    """Serve the state by OpenIGTLink, if asked for. Raises UnusableInputError, LinkError."""
-    if at is None:
+def serving(at: Sequence[str] | None, state: "Callable[[], LiveState]", output: "Output") -> Generator[None]:
+    """Serve the state by OpenIGTLink and ROS 2, where asked for. Raises UnusableInputError, SetUpError, LinkError."""
+    with ExitStack() as stack:
+        for address in at or ():
+            stack.enter_context(_served(address, state, output))
         yield
-        return
+
+
+def _served(address: str, state: "Callable[[], LiveState]", output: "Output") -> "Closing":
+    from sightline.case import live_ros2
+
+    if address.startswith(live_ros2.SCHEME):
+        publisher = live_ros2.broadcast(address, state)
+        output.say(f"ROS 2 at {address.removeprefix(live_ros2.SCHEME)}, for programs in this ROS domain")
+        return publisher
     from sightline.case.live import LiveMessages
     from sightline.robot.transport.broadcast import Broadcast, port_of
 
-    with Broadcast(LiveMessages(state), port_of(at)) as server:
-        output.say(f"OpenIGTLink at 127.0.0.1:{server.port}, for programs on this machine")
-        yield
+    server = Broadcast(LiveMessages(state), port_of(address))
+    output.say(f"OpenIGTLink at 127.0.0.1:{server.port}, for programs on this machine")
+    return server
 
 
 class Terminated(KeyboardInterrupt):

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from sightline.case.interop.plan_file import PlanFile
     from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.rehearsal.rehearsal import Rehearsal
-    from sightline.robot.arms.ros2_poses import PublishedPoses
     from sightline.robot.control.insertion import Setup
     from sightline.robot.control.machine import Machine
     from sightline.robot.kinematics.measured import FlangePose, RobotFile
     from sightline.robot.kinematics.target import Registration
     from sightline.robot.link.server import RobotServer
+    from sightline.robot.ros2_values import Value
 
 app = group("robot", "Simulate, check, calibrate or drive a robot.")
 
@@ -221,23 +221,26 @@ def _arm_server(stack: ExitStack, served: ServedArm, arm: Controlled, listening:
     plant = StreamedArm(stack.enter_context(connect(arm, address, robot.manipulator, start)))
     controller = Controller(robot, plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
     if arm == "ros2":
-        from sightline.robot.arms.ros2_poses import Ros2Poses
+        from sightline.robot.transport.ros2 import Ros2Broadcast
 
-        stack.enter_context(Ros2Poses(address, partial(published_poses, controller.machine)))
+        poses = partial(published_poses, controller.machine)
+        stack.enter_context(Ros2Broadcast(f"{address}/sightline", poses, "sightline_poses"))
     return RobotServer(controller, plant, host=listening.host, port=listening.port)
 
 
-def published_poses(machine: "Machine") -> "PublishedPoses":
-    """Return tool and target of a served arm, its state, and the target's plan with its verdict."""
-    from sightline.robot.arms.ros2_poses import PublishedPoses
+def published_poses(machine: "Machine") -> "dict[str, Value]":
+    """Return what ROS 2 is shown of a served arm, in its base: the pose of the guide's mouth, that of the wire's tip at
+    the plan's end, +z along the wire; its state, and the target's plan with its verdict."""
+    from sightline.robot.ros2_values import BASE, FramePose, Text
 
     insertion, manipulator = machine.insertion, machine.robot.manipulator
-    tool, state = manipulator.T_mcs_tool(machine.q), machine.state.value
+    tool, state = FramePose.of(BASE, "tool", manipulator.T_mcs_tool(machine.q)), machine.state.value
     if insertion is None:
-        return PublishedPoses(tool, None, state)
+        return {"tool": tool, "status": Text(state)}
     plan = insertion.identity
     verdict = "no plan" if plan is None else f"plan {plan.plan}: {'GO' if plan.go else 'NO-GO'}"
-    return PublishedPoses(tool, insertion.T_mcs_cfcs * insertion.T_cfcs_wire(manipulator), f"{state}; {verdict}")
+    target = FramePose.of(BASE, "target", insertion.T_mcs_cfcs * insertion.T_cfcs_wire(manipulator))
+    return {"tool": tool, "target": target, "status": Text(f"{state}; {verdict}")}
 
 
 def _confirmed(known: "RobotFile", where: str) -> "Setup":

@@ -24,7 +24,9 @@ def port_of(address: str) -> int:
     """Return the port of `igtl:PORT`. Raises UnusableInputError."""
     scheme, _, port = address.partition(":")
     if scheme != _SCHEME or not (port.isdecimal() and port.isascii() and int(port) < 1 << 16):
-        raise UnusableInputError(f"{address!r} cannot be served; give {_SCHEME}:PORT, such as {_SCHEME}:18944")
+        raise UnusableInputError(
+            f"{address!r} cannot be served; give {_SCHEME}:PORT, such as {_SCHEME}:18944, or ros2:/NAMESPACE"
+        )
     return int(port)
 
 
