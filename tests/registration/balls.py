@@ -22,13 +22,13 @@ POSE = RigidTransform.from_components([4.7, -2.9, 7.3], TURN)
 HEAD_MM = CENTRES_MM[:1]
 
 
-def view(name: str, turn_deg: float, known: bool = True) -> MatrixView:
-    """Return a view along CFCS z, turned about y; exactly `known`, or without a covariance."""
+def view(name: str, turn_deg: float) -> MatrixView:
+    """Return a view along CFCS z, turned about y, exactly known."""
     turned = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
     camera = np.diag([DETECTOR_MM / PITCH_MM, DETECTOR_MM / PITCH_MM, 1.0])
     camera[:2, 2] = (np.array(SHAPE[::-1]) - 1) / 2
     matrix = camera @ np.column_stack([turned.T, [0.0, 0.0, SOURCE_MM]])
-    return view_from_matrix(matrix, np.zeros((12, 12)) if known else None, name)
+    return view_from_matrix(matrix, np.zeros((12, 12)), name)
 
 
 @dataclass(frozen=True, eq=False)

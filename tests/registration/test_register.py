@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from tests.registration import balls
 
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.common.checks import CheckCode, failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.from_images.registration import BonePose, BoneStart, ScannedBone, register_bone
@@ -97,7 +98,7 @@ def test_an_image_of_something_else_is_refused() -> None:
 
 
 def test_without_a_covariance_of_the_views_the_error_is_unknown() -> None:
-    views = balls.view("pa", 3.0, known=False), balls.Scene().views[1]
+    views = Pinhole.of_matrix(balls.view("pa", 3.0).matrix, "pa"), balls.Scene().views[1]
     pose = register_bone(balls.bone(), balls.Scene().images(), views, start(3))
     assert codes(pose) == {CheckCode.ERROR_KNOWN}
     with pytest.raises(ErrorUnknownError, match="covariance"):

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sightline.calibration import BeadView, CalibratedView
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.common.threads import one_blas_thread
 from sightline.errors import UnusableInputError
 from sightline.from_images.registration import errors
@@ -36,12 +37,13 @@ def read_volume(path: str | Path, cortex_mm: float | None = None) -> CtScan:
 def register_bone(
     volume: ScannedBone | CtScan | str | Path,
     images: Sequence[Radiograph],
-    views: Sequence[CalibratedView],
+    views: Sequence[CalibratedView | Pinhole],
     start: BoneStart | None = None,
 ) -> BonePose:
     """Return the pose of a bone in CFCS, from its CT or mesh, two images or more, and the view of each.
 
-    `volume`: a CT that was cropped to the one bone, or the path of a CT or mesh (`read_volume`). `start`: about where
+    `volume`: a CT that was cropped to the one bone, or the path of a CT or mesh (`read_volume`). `views`: calibrated
+    here, or of `read_view`. `start`: about where
     it lies; without one all rotations are tried, about where the images' middles meet. The pose takes the volume's
     coordinates, mm, to CFCS; it comes with its error, and with the views' checks and its own.
 
@@ -52,11 +54,12 @@ def register_bone(
     >>> list(inspect.signature(sl.register_bone).parameters)
     ['volume', 'images', 'views', 'start']
     """
-    shots, bone = _shots(images, views), _bone(volume)
+    seen = [view.view() if isinstance(view, Pinhole) else view for view in views]
+    shots, bone = _shots(images, seen), _bone(volume)
     fits = search(shots, bone, started(shots, bone, start))
     best = fits[0]
     centre, spread = best.pose.apply(bone.centre_mm), best.pose.rotation.apply(bone.spread_mm)
-    shown, calibration = errors.of_images(best.views), errors.of_calibration(views, centre, spread)
+    shown, calibration = errors.of_images(best.views), errors.of_calibration(seen, centre, spread)
     between = apart(shots, bone, best)
     own = checks(shots, bone, fits, between, error_known=calibration is not None)
     return BonePose(
@@ -64,7 +67,7 @@ def register_bone(
         centre_mm=centre,
         covariance=None if calibration is None else shown + calibration,
         apart=between,
-        checks=(*(check.of_view(view.name) for view in views for check in view.checks), *own),
+        checks=(*(check.of_view(view.name) for view in seen for check in view.checks), *own),
         views=tuple(
             BoneView(shot.view.name, shot.view.focal_point_mm, shot.image.pixels_sha256, own.as_matrix(), along)
             for shot, own, along in zip(shots, between.poses, between.along_beam_95_mm, strict=True)
