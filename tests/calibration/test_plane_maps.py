@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from sightline.calibration import fit_map
 from sightline.calibration.maps.localized import LocalizedMap
-from sightline.calibration.maps.polynomial import monomials, terms
 from sightline.calibration.maps.smooth import MAX_CONTROLS, FittedSmoothMap, Kernel
+from sightline.common.fitting import monomials, terms
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
 
 SPACING_PX = 90.0

@@ -6,7 +6,7 @@ time. The model is z = X theta + g + noise, with unknown theta and Gaussian g an
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.linalg import get_blas_funcs, get_lapack_funcs
@@ -92,6 +92,26 @@ def minimum_norm(design: np.ndarray, data: np.ndarray) -> np.ndarray:
     rounding = np.finfo(np.float64).eps * n
     space = int(_gelsy_lwork(n, m, data.shape[1], rounding)[0])
     return _gelsy(design, data, np.zeros((m, 1), np.int32), rounding, space)[1][:m]
+
+
+def terms(degree: int) -> int:
+    """Return the number of monomials of two variables up to a degree."""
+    return (degree + 1) * (degree + 2) // 2
+
+
+def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
+    """Return (N, terms): x^i y^j with i + j <= degree, by increasing degree."""
+    powers = np.empty((degree + 1, 2, len(xy)))
+    powers[0], powers[1:] = 1.0, np.transpose(xy)
+    np.multiply.accumulate(powers, out=powers)
+    i, j = exponents(degree)
+    return np.ascontiguousarray((powers[i, 0] * powers[j, 1]).T)
+
+
+@cache
+def exponents(degree: int) -> np.ndarray:
+    """Return (2, terms): i and j of `monomials`."""
+    return np.array([(d - j, j) for d in range(degree + 1) for j in range(d + 1)]).T
 
 
 def distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
+from sightline.common.fitting import monomials
 from sightline.detection.labelling.naming import ON_PLACE
 from sightline.errors import DetectionRefusedError
 
@@ -109,12 +110,6 @@ def _from(uv_px: np.ndarray, tree: KDTree, start: int) -> Lattice | None:
     return Lattice(members, uv_px[members], np.array(list(place)), ideal, pitch)
 
 
-def powers(xy: np.ndarray, degree: int) -> np.ndarray:
-    """(N, K) monomials x^i y^j, i + j <= degree, of points (N, 2), by rising degree."""
-    x, y = xy.T
-    return np.stack([x ** (d - j) * y**j for d in range(degree + 1) for j in range(d + 1)], axis=-1)
-
-
 def lattice_of_sheet(uv_px: np.ndarray) -> Lattice:
     """Return the one lattice of a sheet's points (N, 2), across a missing row.
 
@@ -167,6 +162,6 @@ def _predicted(index: np.ndarray, uv_px: np.ndarray, sites: np.ndarray) -> tuple
     middle = index.mean(axis=0)
     scale = np.abs(index - middle).max()
     degree = 5 if len(index) >= 2 * MIN_POINTS + 2 else 3
-    terms = powers((index - middle) / scale, degree)
+    terms = monomials((index - middle) / scale, degree)
     coefficients = np.linalg.lstsq(terms, uv_px, rcond=None)[0]
-    return powers((sites - middle) / scale, degree) @ coefficients, uv_px - terms @ coefficients
+    return monomials((sites - middle) / scale, degree) @ coefficients, uv_px - terms @ coefficients

@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.calibration.maps.hull import MAX_OUTSIDE
 from sightline.calibration.view import PlaneMap
-from sightline.common.fitting import minimum_norm
+from sightline.common.fitting import exponents, minimum_norm, monomials, terms
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
 
 if TYPE_CHECKING:
@@ -119,20 +119,6 @@ class Affine:
         return (uv_px - self.centre_px) @ self.matrix.T
 
 
-def terms(degree: int) -> int:
-    """Return the number of monomials of two variables up to a degree."""
-    return (degree + 1) * (degree + 2) // 2
-
-
-def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
-    """Return (N, terms): x^i y^j with i + j <= degree, by increasing degree."""
-    powers = np.empty((degree + 1, 2, len(xy)))
-    powers[0], powers[1:] = 1.0, np.transpose(xy)
-    np.multiply.accumulate(powers, out=powers)
-    i, j = _exponents(degree)
-    return np.ascontiguousarray((powers[i, 0] * powers[j, 1]).T)
-
-
 def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:
     """Return (N, terms, 2): derivatives of `monomials` by x and y."""
     return np.stack([monomials(xy, degree) @ by for by in derivatives(degree)], axis=-1)
@@ -141,7 +127,7 @@ def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:
 @cache
 def derivatives(degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Return two matrices (terms, terms) from a polynomial's coefficients to those of its derivatives by x and y."""
-    powers = [tuple(p) for p in _exponents(degree).T.tolist()]
+    powers = [tuple(p) for p in exponents(degree).T.tolist()]
     matrices = np.zeros((2, len(powers), len(powers)))
     for column, (i, j) in enumerate(powers):
         if i:
@@ -149,12 +135,6 @@ def derivatives(degree: int) -> tuple[np.ndarray, np.ndarray]:
         if j:
             matrices[1, powers.index((i, j - 1)), column] = j
     return matrices[0], matrices[1]
-
-
-@cache
-def _exponents(degree: int) -> np.ndarray:
-    """Return (2, terms): i and j of `monomials`."""
-    return np.array([(d - j, j) for d in range(degree + 1) for j in range(d + 1)]).T
 
 
 @dataclass(frozen=True, eq=False)

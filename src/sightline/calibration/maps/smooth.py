@@ -13,16 +13,16 @@ from sightline.calibration.maps.polynomial import (
     InvertibleMap,
     derivatives,
     monomial_gradients,
-    monomials,
-    terms,
 )
 from sightline.common.fitting import (
     Kriging,
     cholesky,
+    monomials,
     solve_lower,
     solve_lower_transposed,
     squared_distances,
     squared_exponential,
+    terms,
 )
 from sightline.errors import CalibrationRefusedError
 

@@ -7,8 +7,8 @@ from typing import Self
 import numpy as np
 
 from sightline.calibration.maps.hull import refuse_collinear
-from sightline.calibration.maps.polynomial import monomial_gradients, monomials, terms
-from sightline.common.fitting import minimum_norm
+from sightline.calibration.maps.polynomial import monomial_gradients
+from sightline.common.fitting import minimum_norm, monomials, terms
 from sightline.common.geometry.outlines import centroids
 from sightline.common.geometry.planes import Plane
 from sightline.detection.results import Observations

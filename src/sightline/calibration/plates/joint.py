@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from sightline.calibration.maps.hull import well_conditioned
-from sightline.calibration.maps.polynomial import Affine, derivatives, monomials, terms
+from sightline.calibration.maps.polynomial import Affine, derivatives
 from sightline.calibration.maps.smooth import DEGREE, NOISE_SCALES_PX, Learned, PriorData, SmoothMap, learn
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.view import LineErrors, Pencil, Residuals, refuse_misplaced
@@ -32,7 +32,9 @@ from sightline.common.fitting import (
     cholesky,
     least_squares,
     minimum_norm,
+    monomials,
     solve_lower,
+    terms,
     variance_ratio,
 )
 from sightline.common.threads import one_blas_thread

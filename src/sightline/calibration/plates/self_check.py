@@ -17,13 +17,12 @@ import numpy as np
 from scipy.special import chdtri
 
 from sightline.calibration.maps.hull import well_conditioned
-from sightline.calibration.maps.polynomial import monomials
 from sightline.calibration.maps.smooth import DEGREE
 from sightline.calibration.plates.beads import Beads, match
 from sightline.calibration.plates.joint import JointFit, diagonal, fit_robustly, pixel_noise_mm2, twice
 from sightline.calibration.view import Pencil
 from sightline.common.checks import FALSE_ALARM, Check
-from sightline.common.fitting import cholesky, solve_lower
+from sightline.common.fitting import cholesky, monomials, solve_lower
 from sightline.common.geometry.rigid import displacement
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError

@@ -7,13 +7,12 @@ from typing import Self
 import numpy as np
 
 from sightline.calibration.maps.hull import Hull
-from sightline.calibration.maps.polynomial import monomials
 from sightline.calibration.maps.smooth import DEGREE, FittedSmoothMap, SmoothMap
 from sightline.calibration.matrix_view import HomographyMap
 from sightline.calibration.plates.joint import twice
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PARAMETERS, PanelCamera, PanelPrior
 from sightline.calibration.view import PlaneMap
-from sightline.common.fitting import Kriging, cholesky, inverse_lower
+from sightline.common.fitting import Kriging, cholesky, inverse_lower, monomials
 from sightline.common.geometry.planes import Plane
 
 MIN_BALLS = 6  # of the solid in one image: 12 equations for the 9 unknowns of its camera [calc]

@@ -11,10 +11,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
+from sightline.common.fitting import monomials
 from sightline.detection import Detections
 from sightline.detection.beads.noise import NoiseModel, estimate_noise
 from sightline.detection.beads.window import BEYOND
-from sightline.detection.lattice import Lattice, lattice_of_sheet, powers
+from sightline.detection.lattice import Lattice, lattice_of_sheet
 from sightline.detection.log_image import field_inset, log_image
 from sightline.errors import DetectionRefusedError, RefusedError
 from sightline.imaging import Radiograph
@@ -83,11 +84,11 @@ def distortion(lattice: Lattice, centre_px: np.ndarray, radius_px: float) -> Dis
     """Distortion of a lattice seen in a round field. A tilt of the plate counts as distortion of degree 2."""
     uv, xy = (lattice.uv_px - centre_px) / radius_px, lattice.xy - lattice.xy.mean(axis=0)
     xy_unit = xy / np.abs(xy).max()
-    slope = np.linalg.lstsq(powers(uv, 1), xy, rcond=None)[0][1:]
+    slope = np.linalg.lstsq(monomials(uv, 1), xy, rcond=None)[0][1:]
     px_per_pitch = radius_px / np.sqrt(abs(np.linalg.det(slope)))
     residual = {}
     for degree in DEGREES:
-        terms = powers(uv, degree)
+        terms = monomials(uv, degree)
         left = len(uv) - terms.shape[1]
         if len(uv) < PER_COEFFICIENT * terms.shape[1]:
             break
@@ -103,13 +104,13 @@ def _at_rim(xy: np.ndarray, uv: np.ndarray, degree: int) -> tuple[float, float]:
 
     The ring is one on the plate: the middle's linear map takes it to a circle of radius RIM of the image's field.
     """
-    to_plate = np.linalg.lstsq(powers(uv, degree), xy, rcond=None)[0]
+    to_plate = np.linalg.lstsq(monomials(uv, degree), xy, rcond=None)[0]
     middle, slope = to_plate[0], to_plate[1:3]  # d(xy) = d(uv) @ slope
     local = (xy - middle) @ np.linalg.inv(slope)
-    to_image = np.linalg.lstsq(powers(local, degree), uv, rcond=None)[0]
+    to_image = np.linalg.lstsq(monomials(local, degree), uv, rcond=None)[0]
     angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
     ring = RIM * np.exp(1j * angle)
-    seen = powers(np.stack([ring.real, ring.imag], axis=1), degree) @ to_image
+    seen = monomials(np.stack([ring.real, ring.imag], axis=1), degree) @ to_image
     start = to_image[0]
     own = ring.real[:, None] * to_image[1] + ring.imag[:, None] * to_image[2]
     ratio = np.mean(((seen - start) @ [1, 1j]) / (own @ [1, 1j]))
