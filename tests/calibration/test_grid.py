@@ -132,6 +132,17 @@ class TestLatticeOfASheet:
         with pytest.raises(RefusedError, match="one sheet alone"):
             lattice_of_sheet(np.concatenate([one.seen(0.1), other.seen(0.1)]))
 
+    @pytest.mark.parametrize(("scale", "angle"), [(1.0, 5e-4), (1.0005, 0.0), (1.002, 3e-3)])
+    def test_two_sheets_half_a_pitch_apart_are_refused(self, scale: float, angle: float) -> None:
+        """Both are one lattice. The upper one is turned a little, or 0.5 mm nearer to the source."""
+        sheet = Sheet(5)
+        steps = np.linalg.lstsq(sheet.index - sheet.index[0], sheet.xy_mm - sheet.xy_mm[0], rcond=None)[0]
+        upper = scale * turned(sheet.xy_mm + steps.sum(axis=0) / 2, angle)
+        shown = np.concatenate([sheet.xy_mm, upper[np.linalg.norm(upper, axis=1) < 110]])
+        uv_px = sheet.view.intensifier.to_image(shown)
+        with pytest.raises(CalibrationRefusedError, match="two sheets"):
+            map_grid(beads(uv_px + 0.05 * sheet.rng.standard_normal(uv_px.shape)), PITCH_MM)
+
     @pytest.mark.parametrize("shift_mm", [1.5, 3.0, 5.0])
     def test_a_sheet_with_shifted_rows_is_refused(self, shift_mm: float) -> None:
         sheet = Sheet(7)

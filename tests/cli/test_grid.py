@@ -53,7 +53,7 @@ def test_it_says_what_the_map_means(run, image: Path, tmp_path: Path) -> None:
     told = run("grid", image, "--pitch", 5, "--out", tmp_path / "map.json")
     assert told.code == 0
     assert "on a square lattice of 5 mm" in told.out and "knows no depth" in told.out
-    assert "an undistorted pixel is 0.16" in told.out
+    assert "an undistorted pixel is 0.16" in told.out and "by --pitch alone" in told.out
 
 
 def test_a_stretched_sheet_is_refused_and_nothing_is_written(run, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from scipy.interpolate import RectBivariateSpline
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.maps.smooth import MAX_CONTROLS, FittedSmoothMap
 from sightline.common.checks import FALSE_ALARM
+from sightline.common.fitting import monomials
 from sightline.common.show import Plotted
 from sightline.detection import Detections
 from sightline.detection.lattice import HEXAGONAL, SQUARE, Lattice, lattice_of_sheet
@@ -30,6 +31,9 @@ MAX_LEFT_OUT = 0.1  # [ours] share of points that contradict the others: more is
 # Rows of a perforated sheet are punched together, and have common errors: the correlation of neighbours' leave-one-out
 # residuals along a row is 0.6 in a real sheet [ARCADIS], at most 0.16 where errors are independent [twin].
 _ROWS, _CORRELATED = ((1, 0), (0, 1), (1, -1)), 0.25
+# Two square sheets, one shifted by half a diagonal, make one lattice. The upper one looks larger, by a thousandth for
+# each mm, and is turned.
+MAX_APART_PX, _APART_SD = 0.05, 5.0  # [ours] rms of what size and rotation do; and in standard deviations
 MAX_ROW_ERROR_PX = 0.3  # [ours] s.d. of what rows have in common; half a sheet shifted by a tenth of its pitch has 0.4
 # Between nodes of the inverse map, px: linear interpolation is within 0.004 px for 5 % of distortion at the rim [calc].
 _NODE_PX = 8
@@ -214,6 +218,7 @@ def map_grid(beads: Detections, pitch_mm: float) -> GridMap:
             f"the sheet shows {len(lattice)} points; at least {MIN_POINTS} are needed: use a finer sheet, or show more"
         )
     _refuse_stretched(lattice)
+    _refuse_two_sheets(lattice)
     # Of a fine sheet every second row and column, or third, ...
     step = next(k for k in range(1, len(lattice)) if (lattice.index % k == 0).all(axis=1).sum() <= MAX_CONTROLS)
     sd_px = np.sqrt(np.trace(beads.covariance_px2[lattice.members], axis1=1, axis2=2))
@@ -244,6 +249,22 @@ def _refuse_stretched(lattice: Lattice) -> None:
             f"the lattice is stretched by a factor of {long / short:.3f} along one direction (limit {MAX_STRETCH:g}): "
             "use a square or hexagonal sheet, lay it flat on the intensifier's face, and give an image with square "
             "pixels"
+        )
+
+
+def _refuse_two_sheets(lattice: Lattice) -> None:
+    """Refuse a lattice whose every second point along each axis has another size or rotation than the others."""
+    at = (off := lattice.index - lattice.index.mean(axis=0)) / np.abs(off).max()
+    linear = monomials(at, 1) * (1 - 2 * (lattice.index.sum(axis=1, keepdims=True) % 2))
+    terms = np.hstack([monomials(at, 5), linear])
+    found = np.linalg.lstsq(terms, lattice.uv_px, rcond=None)[0]
+    apart_px, left_px = np.sqrt(
+        [np.square(2 * linear[:, 1:] @ found[-2:]).mean(), np.square(lattice.uv_px - terms @ found).mean()]
+    )
+    if apart_px > max(MAX_APART_PX, _APART_SD * 4 * left_px / np.sqrt(len(at))):
+        raise CalibrationRefusedError(
+            f"every second point has another scale or rotation, {apart_px:.2f} px rms (limit {MAX_APART_PX:g} px): two "
+            "sheets lie on each other, shifted by half a pitch; show one sheet alone"
         )
 
 

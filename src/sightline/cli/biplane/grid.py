@@ -46,8 +46,8 @@ def grid(
         f"{document['largest_distortion_px']:.1f} px"
     )
     stated = radiograph.tags.imager_pixel_spacing_mm
-    beside = "" if stated is None else f" (the file states {stated[1]:.4f} mm on the detector)"
-    output.say(f"an undistorted pixel is {found.spacing_mm:.4f} mm on the sheet{beside}")
+    beside = "" if stated is None else f"; the file states {stated[1]:.4f} mm on the detector"
+    output.say(f"an undistorted pixel is {found.spacing_mm:.4f} mm on the sheet: by --pitch alone{beside}")
     output.say("the map is of this zoom and place, on the sheet's plane, up to a similarity: it knows no depth")
     output.written(files)
     output.result({**document, "files": files}, image_checks(radiograph))
