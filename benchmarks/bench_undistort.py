@@ -42,7 +42,7 @@ def run(quick: bool) -> Rows:
             path, plain = make(Path(place), _frames(8), count)
             work = UndistortedRun.of(path, 1)
             wall, cpu = time.perf_counter(), time.process_time()
-            undistort_runs([work], grid, "sha256:0", Path(place) / "out", lambda: None)
+            undistort_runs([work], grid, Path(place) / "out", lambda: None)
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
             peer, started = "", (time.perf_counter(), time.process_time())
             if plain is not None:

@@ -1,6 +1,7 @@
 """Runs without distortion: the same kind of file, whole files only, no identity, and on after an interruption."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -69,7 +70,7 @@ def undistort(
     paths: list[Path], grid: GridMap, out: Path, advance: Callable[[], None] = lambda: None
 ) -> tuple[list[Path], int]:
     runs = [UndistortedRun.of(path, k) for k, path in enumerate(paths, 1)]
-    return undistort_runs(runs, grid, "sha256:1", out, advance)
+    return undistort_runs(runs, grid, out, advance)
 
 
 class TestUndistortedRuns:
@@ -145,7 +146,7 @@ class TestUndistortedRuns:
         run = UndistortedRun.of(file, 1)
         file.write_bytes(file.read_bytes()[: -2 * SHAPE[0] * SHAPE[1]])
         with pytest.raises(SightlineError):
-            undistort_runs([run], grid, "sha256:1", tmp_path / "out", lambda: None)
+            undistort_runs([run], grid, tmp_path / "out", lambda: None)
         assert [each.name for each in (tmp_path / "out").iterdir()] == [RECORD]
 
     def test_a_video_that_ends_early_is_refused(self, grid: GridMap, tmp_path: Path) -> None:
@@ -153,14 +154,14 @@ class TestUndistortedRuns:
         run = UndistortedRun.of(file, 1)
         video(file, frames(4, np.uint8))
         with pytest.raises(ImageError, match="ends after 4 of 9"):
-            undistort_runs([run], grid, "sha256:1", tmp_path / "out", lambda: None)
+            undistort_runs([run], grid, tmp_path / "out", lambda: None)
         assert not (tmp_path / "out" / "run-1.avi").exists()
 
     def test_another_map_or_other_runs_are_not_mixed_in(self, grid: GridMap, tmp_path: Path) -> None:
         one = folder_of(tmp_path / "one", frames(2), ".png")
         undistort([one], grid, tmp_path / "out")
         with pytest.raises(UnusableInputError, match="another map"):
-            undistort_runs([UndistortedRun.of(one, 1)], grid, "sha256:2", tmp_path / "out", lambda: None)
+            undistort([one], replace(grid, pitch_mm=6.0), tmp_path / "out")
         with pytest.raises(UnusableInputError, match="other runs"):
             undistort([folder_of(tmp_path / "two", frames(3), ".png")], grid, tmp_path / "out")
         with pytest.raises(UnusableInputError, match="other files"):
@@ -181,10 +182,14 @@ class TestUndistortedRuns:
         for file, image in zip(files, images, strict=True):
             np.testing.assert_array_equal(read_image(file).pixels, Undistorter(grid)(image, 65535.0))
 
-    def test_frames_of_another_size_are_refused(self, grid: GridMap, tmp_path: Path) -> None:
+    def test_a_run_of_another_size_or_without_frames_leaves_no_folder(self, grid: GridMap, tmp_path: Path) -> None:
         place = folder_of(tmp_path / "in", [frames(1)[0][:100]], ".png")
         with pytest.raises(UnusableInputError, match="150 x 100 pixels, the map is of 150 x 120"):
             undistort([place], grid, tmp_path / "out")
+        paths = [folder_of(tmp_path / "good", frames(1), ".png"), video(tmp_path / "run.avi", [])]
+        with pytest.raises(ImageError, match="no frames"):
+            undistort(paths, grid, tmp_path / "out")
+        assert not (tmp_path / "out").exists()
 
     def test_what_is_no_run_is_refused(self, grid: GridMap, tmp_path: Path) -> None:
         (tmp_path / "empty").mkdir()

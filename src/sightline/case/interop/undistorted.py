@@ -79,6 +79,16 @@ class UndistortedRun:
         frames = frames_in(path)
         return UndistortedRun("dicom" if frames > 1 else "images", (path,), frames, (f"run-{number}{_suffix(path)}",))
 
+    def first(self) -> np.ndarray:
+        """Return the pixels of the first frame. Raises ImageError, UnusableInputError."""
+        if self.kind != "video":
+            return read_image(self.files[0], 0 if self.kind == "dicom" else None).pixels
+        with _video(self.files[0]) as capture:
+            good, pixels = capture.read()
+        if not good:
+            raise ImageError(f"{self.files[0].name} has no frames; copy it again")
+        return luma(pixels)
+
     def record(self) -> dict[str, Any]:
         """Return what a later call must find again to go on: sizes and a digest of samples, not names."""
         size, digest = sum(file.stat().st_size for file in self.files), sha256()
@@ -100,16 +110,21 @@ def _suffix(file: Path) -> str:
 
 
 def undistort_runs(
-    runs: list[UndistortedRun], grid: GridMap, digest: str, folder: Path, advance: Callable[[], None]
+    runs: list[UndistortedRun], grid: GridMap, folder: Path, advance: Callable[[], None]
 ) -> tuple[list[Path], int]:
-    """Write the runs, resampled by the map of this `digest`, into a folder; return the files and how many were there.
+    """Write the runs, resampled by the map, into a folder; return the files and how many were there.
 
     `advance` is called for each frame. Raises UnusableInputError where the folder holds other runs or another map's,
-    and for frames of another size than the map's; ImageError.
+    and for frames of another size than the map's; ImageError. Where a first frame is refused, nothing is written.
     """
-    _begin(folder, {"map": digest, "spacing_mm": grid.spacing_mm, "runs": [run.record() for run in runs]})
+    undistorter = Undistorter(grid)
+    for run in runs:
+        undistorter(run.first(), 1.0)
+    made_of = repr((grid.uv_px.tolist(), grid.index.tolist(), grid.hexagonal, grid.pitch_mm, grid.shape))
+    record = {"map": sha256(made_of.encode()).hexdigest(), "spacing_mm": grid.spacing_mm}
+    _begin(folder, {**record, "runs": [run.record() for run in runs]})
     created = datetime.fromtimestamp((folder / RECORD).stat().st_mtime).replace(microsecond=0)  # of an earlier call
-    work = _Work(folder, Undistorter(grid), grid.spacing_mm, ExportIdentity("undistorted", created), advance)
+    work = _Work(folder, undistorter, grid.spacing_mm, ExportIdentity("undistorted", created), advance)
     names = [name for run in runs for name in run.names]
     already = [name for name in names if (folder / name).exists()]
     for run in runs:
@@ -287,7 +302,9 @@ def _frame_ms(file: Path) -> float:
 def _video(file: Path) -> Generator[Any]:
     """Open a video file. Raises UnusableInputError."""
     if not file.is_file() or file.stat().st_size > MAX_FILE_BYTES:
-        raise UnusableInputError(f"{file.name} is not a file of up to {MAX_FILE_BYTES} bytes; name a folder or a file")
+        raise UnusableInputError(
+            f"{file.name} is not a file of up to {MAX_FILE_BYTES >> 30} GiB; name a folder or a file"
+        )
     capture = cv2.VideoCapture(str(file.resolve()), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():

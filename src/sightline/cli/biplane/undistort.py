@@ -44,8 +44,6 @@ def undistort(
 
 
 def _undistort_runs(output: Output, paths: list[Path], map_file: Path, out: Path) -> None:
-    from json import loads
-
     from sightline.calibration.maps.grid import GridMap
     from sightline.case.interop.undistorted import UndistortedRun, undistort_runs
     from sightline.case.saved import load
@@ -55,7 +53,7 @@ def _undistort_runs(output: Output, paths: list[Path], map_file: Path, out: Path
     runs = [UndistortedRun.of(path, k) for k, path in enumerate(paths, 1)]
     frames = [run.frames for run in runs]
     with output.progress("undistorting", sum(frames)) as advance:
-        files, already = undistort_runs(runs, grid, loads(map_file.read_bytes())["digest"], out, advance)
+        files, already = undistort_runs(runs, grid, out, advance)
     output.say(f"{sum(frames)} frames in {len(files)} files, {already} of which were there already")
     output.say(f"a pixel is {grid.spacing_mm:.4f} mm on the sheet")
     output.written([out])
