@@ -47,19 +47,21 @@ def write_view(pinhole: Pinhole, kind: str, pixels: np.ndarray | None = None) ->
 def read_view(path: str | Path, kind: str | None = None, name: str | None = None) -> Pinhole:
     """Return a view from a file of another program.
 
-    `kind`: the format; by default from the file's name (`pa.xreg.h5`), else "opencv". `name`: of the view,
-    "pa" or "lateral", or of one of several projections in a file of xReg or RTK, "proj-001"; by default the first word
-    of the file's name. Raises UnusableInputError.
+    `kind`: the format; by default from the file's name (`pa.xreg.h5`), else "mayacam2" or "opencv" by its content.
+    `name`: of the view, "pa" or "lateral", or of one of several projections in a file of xReg or RTK, "proj-001"; by
+    default the first word of the file's name. Raises UnusableInputError.
 
     >>> sl.read_view("pa.opencv.json").view().name
     'pa'
     """
     file = Path(path)
     words = file.name.lower().split(".")
-    stated = kind or next((word for word in words[1:] if word in (*_READABLE, *ALIASES)), "opencv")
-    kind = check_format(stated, _READABLE)
+    stated = kind or next((word for word in words[1:] if word in (*_READABLE, *ALIASES)), "")
+    kind = check_format(stated or "opencv", _READABLE)
     view = name or re.sub(r"[^\w-]", "_", words[0])[:32]
     data = reading.read_bytes(file, _MAX_BYTES.get(kind, MAX_TEXT_BYTES))
+    if not stated and data.startswith(b"image size"):  # XMALab gives its files any name
+        kind = "mayacam2"
     try:
         if kind == "rtk":
             image = file.with_suffix(".mha")
