@@ -99,9 +99,9 @@ def test_the_columns_of_xmalab_give_the_points_and_holes_a_reason(
 def test_views_of_mayacam_2_files_and_pixels_counted_from_1(run, tmp_path: Path) -> None:
     files = []
     for matrix, name in zip(MATRICES, ("cam1", "cam2"), strict=False):
-        for file, data in write_view(Pinhole.of_matrix(matrix, name, (1024, 1024)), "mayacam2").items():
-            (tmp_path / file).write_bytes(data)
-            files += ["--views", tmp_path / file]
+        for data in write_view(Pinhole.of_matrix(matrix, name, (1024, 1024)), "mayacam2").values():
+            (tmp_path / f"{name}.txt").write_bytes(data)  # XMALab's files have any name
+            files += ["--views", tmp_path / f"{name}.txt"]
     (tmp_path / "p.csv").write_text(_wide(UV + 1.0))
     given = (tmp_path / "p.csv", *files, "--out", tmp_path / "x.csv", "--points", "undistorted", "--first-pixel", 1)
     ran = run("reconstruct", *given)
@@ -128,6 +128,8 @@ def test_what_the_file_does_not_state_must_be_given_and_agree_with_the_views(
     assert "the points are undistorted" in run(*raw, *UNDISTORTED).said
     (tmp_path / "y.csv").write_text(_wide(np.flip(UV, axis=0)))
     assert "cam1 and cam2 are exchanged" in run("reconstruct", tmp_path / "y.csv", *plain[2:], *UNDISTORTED).said
+    (tmp_path / "up.csv").write_text(_wide(UV * [1.0, -1.0] + [0.0, 1023.0]))
+    assert "y is counted from below" in run("reconstruct", tmp_path / "up.csv", *plain[2:], *UNDISTORTED).said
     assert not (tmp_path / "x.csv").exists()
     (tmp_path / "z.csv").write_text(_wide(np.array([UV[0], UV[1] + [0.0, 40.0]])))
     ran = run("reconstruct", tmp_path / "z.csv", *plain[2:], *UNDISTORTED, "--json")
@@ -147,6 +149,7 @@ BAD = {
     HEADER + ROW + ROW: "frame 1 has point 'tip' twice in view cam1",
     HEADER + ROW.replace("cam1", "pa"): "'pa' is not one of cam1, cam2",
     HEADER + ROW + "2,tip,cam1,5\n": "line 3: 4 cells",
+    HEADER + "1,tip,cam1,10,5,20,5\n": "line 2: 7 cells",
     HEADER + "1,tip,cam1,10.5,\n": "one coordinate is missing",
     HEADER + "1,tip,cam1,ten,5\n": "write numbers",
     HEADER + "1,tip,cam1,inf,5\n": "at most 100000",

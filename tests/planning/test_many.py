@@ -128,6 +128,20 @@ def test_exchanged_cameras_and_views_in_metres_are_refused() -> None:
         _solver(2, known=False, scale=2e-3)  # sources 1.24 m away
 
 
+def test_y_counted_from_below_is_refused_and_named_where_the_lines_do_not_show_it() -> None:
+    """Two cameras in one plane, whose images are upright, see the mirror image of any points; not so a turned one."""
+    inner = np.array([[4760.0, 0.0, 507.3], [0.0, 4760.0, 498.1], [0.0, 0.0, 1.0]])
+    rng = np.random.default_rng(1)
+    for roll, ambiguous in ((0.0, True), (35.0, False)):
+        turns = Rotation.from_euler("yz", [[3.0, 0.0], [-86.0, roll]], degrees=True).as_matrix()
+        matrices = [inner @ np.column_stack([turn, [0.0, 0.0, 620.0]]) for turn in turns]
+        solver = ManySolver([sl.view_from_matrix(m, None, name) for m, name in zip(matrices, "ab", strict=True)])
+        uv = np.array([_pixels(m, XYZ[:40]) for m in matrices]) + rng.normal(0.0, SD_PX, (2, 40, 2))
+        assert solver.refuse_upward(uv) is ambiguous and not solver.refuse_upward(uv[:, :5])
+    with pytest.raises(UnusableInputError, match="y is counted from below"):
+        solver.refuse_upward(uv * [1.0, -1.0] + [0.0, 1023.0])
+
+
 def test_points_that_are_not_of_the_images_fail_the_check() -> None:
     """Distortion of 5 px at the edge, or y counted from below, where neither is expected."""
     for known in (True, False):

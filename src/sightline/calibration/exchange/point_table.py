@@ -87,7 +87,7 @@ def _chunks(reader: Iterator[list[str]], width: int) -> Iterator[list[_Column]]:
     """Yield the columns of some rows at once; lines without cells are dropped. Raises UnusableInputError."""
     line = 2
     while some := list(islice(reader, _CHUNK)):
-        if wrong := next((k for k, row in enumerate(some) if row and len(row) != width), None):
+        for wrong in (k for k, row in enumerate(some) if row and len(row) != width):
             raise UnusableInputError(f"line {line + wrong}: {len(some[wrong])} cells where {width} were expected")
         line += len(some)
         if rows := [row for row in some if any(row)]:

@@ -75,10 +75,13 @@ def reconstruct(
     sd_px = np.where(np.isnan(table.sd_px), sd, table.sd_px)
     with output.step("reconstructing"):
         solver.refuse_exchanged(uv)
+        either = solver.refuse_upward(uv) and not table.pixels_stated
         found = solver.solve(uv, sd_px)
     text = [_lines(table, found, slice(k, k + BLOCK)) for k in range(0, len(table.frames), BLOCK)]
     write_whole(out, "".join([_HEADER, *text]).encode())
     document = _summary(output, found)
+    if either:
+        output.say("the lines of sight would meet as well with y counted from below: make sure that y is down")
     output.written([out])
     checks = [check for view in solver.views for check in view.checks]
     checks.append(gap_check(found.gap_mm, found.gap_sigma, found.reason))

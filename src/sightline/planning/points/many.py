@@ -38,7 +38,9 @@ MIN_SOURCES_MM = 20.0
 MAX_FAILED = 0.05  # [ours] share of the points whose lines of sight may miss each other: markers that were lost
 MAX_MEDIAN_GAP_MM = 1.0  # [ours] where no error is known; distortion, or y counted from below, gives more
 _SAMPLE = 200  # points that show whether cameras are exchanged [ours]
-_EXCHANGED = 0.2  # share of the median distance that is left with the cameras exchanged back [ours]
+_EXCHANGED = 0.2  # share of the median distance that is left with the cameras exchanged back, or y down [ours]
+_MIN_SAMPLE, _ROWS = 10, 33  # [ours] points that tell y up from y down, and first rows tried that it may start from
+_ALIKE = 2.0  # times the median distance: y down and y up cannot be told apart by it [ours]
 
 OK, FEW, OUTSIDE, PARALLEL, BEHIND, APART = range(6)
 REASONS = (
@@ -149,20 +151,58 @@ class ManySolver:
             self._cells.update(zip(code[at].tolist(), own, strict=True))
         return np.array([self._cells[int(c)] for c in cells])[cell]
 
+    @staticmethod
+    def _sample(uv_px: np.ndarray) -> np.ndarray:
+        """Return some of the points (V, N, 2) that all views show, evenly chosen."""
+        shown = np.flatnonzero(np.isfinite(uv_px[..., 0]).all(axis=0))
+        return uv_px[:, shown[np.unique(np.linspace(0, len(shown) - 1, min(_SAMPLE, len(shown))).astype(int))]]
+
     def refuse_exchanged(self, uv_px: np.ndarray) -> None:
         """Raise UnusableInputError where points (V, N, 2) fit only with two cameras exchanged."""
-        shown = np.flatnonzero(np.isfinite(uv_px[..., 0]).all(axis=0))
-        some = shown[np.unique(np.linspace(0, len(shown) - 1, min(_SAMPLE, len(shown))).astype(int))]
-        if not (as_given := self._median_gap_mm(uv_px[:, some])) > MAX_MEDIAN_GAP_MM:
+        some = self._sample(uv_px)
+        if not (as_given := self._median_gap_mm(some)) > MAX_MEDIAN_GAP_MM:
             return
         for a, b in combinations(range(len(self.views)), 2):
             order = np.arange(len(self.views))
             order[[a, b]] = b, a
-            if self._median_gap_mm(uv_px[order][:, some]) < _EXCHANGED * min(as_given, MAX_GAP_MM):
+            if self._median_gap_mm(some[order]) < _EXCHANGED * min(as_given, MAX_GAP_MM):
                 raise UnusableInputError(
                     f"the cameras of views {self.views[a].name} and {self.views[b].name} are exchanged: the lines of "
                     "sight meet only with their columns exchanged; give the views in the order of the file's cameras"
                 )
+
+    def refuse_upward(self, uv_px: np.ndarray) -> bool:
+        """Return whether the lines of sight of points (V, N, 2) would meet as well with y counted from below.
+
+        Raises UnusableInputError where they meet only then.
+        """
+        some = self._sample(uv_px)
+        if some.shape[1] < _MIN_SAMPLE:
+            return False
+        down_mm, up_mm = (self._least_gap_mm(some * [1.0, sign]) for sign in (1.0, -1.0))
+        if up_mm < _EXCHANGED * down_mm:
+            raise UnusableInputError(
+                f"y is counted from below: the lines of sight then pass each other at {up_mm:.2f} mm, else at "
+                f"{down_mm:.2f} mm; export the points with y down"
+            )
+        return up_mm < _ALIKE * down_mm
+
+    def _least_gap_mm(self, uv_px: np.ndarray) -> float:
+        """Return the smallest median distance between the lines of sight with all images shifted by the same rows."""
+
+        def gap(row: float) -> float:
+            moved = uv_px + np.array([0.0, row])
+            for k, view in enumerate(self.views):
+                moved[k, ~_is_near(view, moved[k])] = np.nan
+            met = [each.gap_mm for _, each in self._given(moved, np.ones(moved.shape[:2])).approaches]
+            gaps_mm = np.concatenate(met)
+            return float(np.median(gaps_mm)) if 2 * len(gaps_mm) >= len(met) * uv_px.shape[1] else np.inf
+
+        best, reach = 0.0, 3.0 * float(np.abs(uv_px[..., 1]).max())
+        for _ in range(4):  # to 0.1 px
+            best = min((best + reach * np.linspace(-1.0, 1.0, _ROWS)).tolist(), key=gap)
+            reach *= 2.0 / (_ROWS - 1)
+        return gap(best)
 
     def _median_gap_mm(self, uv_px: np.ndarray) -> float:
         """Return the median distance between the lines of sight; infinite ones are of points not reconstructed."""
