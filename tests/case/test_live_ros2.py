@@ -108,12 +108,14 @@ def test_a_point_in_space_is_seen_by_the_pinhole_where_the_view_sees_it() -> Non
 def test_the_image_stands_as_the_source_sees_it(against: bool, kind: Any) -> None:
     """A plate whose normal points against the beam: its rows run upwards in the image of the plate."""
     pixels = np.random.default_rng(4).integers(0, 200, (20, 33)).astype(kind)
-    image = Image(pixels[None], np.array([[0.4, 0, 0, 7.3], [0, 0.4, 0, -2.9], [0, 0, 1, 11.1], [0, 0, 0, 1]]))
+    placed = pose(5)  # of the plate; all below is in its coordinates
+    matrix = np.array([[0.4, 0, 0, 7.3], [0, 0.4, 0, -2.9], [0, 0, 1, 11.1], [0, 0, 0, 1]])
+    image = Image(pixels[None], placed.as_matrix() @ matrix)
     turned = Rotation.from_euler("x", 180.0 if against else 0.0, degrees=True)
     source = np.array([1.7, 3.1, 611.1 if against else -588.9])
     camera = RigidTransform.from_components(source, turned)
     given = ShownImage(SimpleNamespace(white=1000.0), None)
-    picture = picture_of("3-d", given, image, camera.as_matrix())
+    picture = picture_of("3-d", given, image, (placed * camera).as_matrix())
     found = cv2.imdecode(np.frombuffer(picture.png, np.uint8), cv2.IMREAD_UNCHANGED)
     for row, column in ((0, 0), (3, 30), (19, 5)):
         at_mm = np.array([7.3 + 0.4 * (column - 16), -2.9 + 0.4 * (row - 9.5), 11.1])
@@ -136,7 +138,7 @@ def test_an_image_is_encoded_once_and_anew_when_another_comes() -> None:
 
 
 def test_diagnostics_tell_verdict_statuses_and_failed_checks() -> None:
-    view = replace(planned_view(), checks=(replace(FAILED, passed=True, figure=0.5), FAILED))
+    view = replace(planned_view(), checks=(FAILED, replace(FAILED, passed=True, figure=0.5)))
     robot = Status(18, "FAULT", "the drill is hot", 7)
     statuses = {"status": Status(1, "", "still"), "robot": robot}
     found = parts(topics(statuses=statuses, images={LIVE: replace(live(), view=view)}, bone=bone(), verdict="GO"))
