@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtri
 
+from sightline.calibration.maps.hull import Hull
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import Residuals
@@ -254,12 +255,12 @@ class Support:
         is convex and contains these. Without the other detections nothing would be expected of a strip at the field's
         edge whose beads were all dropped.
         """
-        inside = _inside(self._sides, uv_px)
+        inside = _inside(self._hull, uv_px)
         counts = np.zeros((len(uv_px), 3), dtype=int)
         counts[inside] = self._counted(uv_px[inside], self._expected)
         for k in np.flatnonzero(~inside):
-            sides = _sides(np.concatenate([self._known_px, uv_px[k : k + 1]]))
-            counts[k] = self._counted(uv_px[k : k + 1], _inside(sides, self.places_px, self.radii_px))
+            hull = _hull(np.concatenate([self._known_px, uv_px[k : k + 1]]))
+            counts[k] = self._counted(uv_px[k : k + 1], _inside(hull, self.places_px, self.radii_px))
         return counts
 
     @cached_property
@@ -269,13 +270,13 @@ class Support:
         return used if self.stray_px is None else np.concatenate([used, self.stray_px])
 
     @cached_property
-    def _sides(self) -> np.ndarray | None:
-        return _sides(self._known_px)
+    def _hull(self) -> Hull | None:
+        return _hull(self._known_px)
 
     @cached_property
     def _expected(self) -> np.ndarray:
         """(E,) bool: within the convex hull of the used beads and all other detections."""
-        return _inside(self._sides, self.places_px, self.radii_px)
+        return _inside(self._hull, self.places_px, self.radii_px)
 
     def _counted(self, uv_px: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Return `near` of pixels (N, 2) where the beads `seen` (E,) and the used ones are expected."""
@@ -307,21 +308,14 @@ class Support:
         return float(np.median(shift[together[best]])) if count[best] >= MIN_STRIP else None
 
 
-def _sides(corners_px: np.ndarray) -> np.ndarray | None:
-    """Return the sides (S, 3) of the convex hull of pixels (N, 2): normal outwards and offset; None without a hull."""
-    from scipy.spatial import ConvexHull, QhullError  # here: only lines of sight need it, and it takes 6 MB
-
-    try:
-        return ConvexHull(corners_px).equations
-    except (QhullError, ValueError):
-        return None
+def _hull(uv_px: np.ndarray) -> Hull | None:
+    """Return the convex hull of pixels (N, 2); None where they are collinear."""
+    return Hull.of(uv_px) if len(convex_hull(uv_px)) > 2 else None
 
 
-def _inside(sides: np.ndarray | None, uv_px: np.ndarray, margin_px: np.ndarray | float = 0.0) -> np.ndarray:
-    """Return (N,) bool: whether pixels (N, 2) lie within the sides of a convex hull, by at least a margin.
+def _inside(hull: Hull | None, uv_px: np.ndarray, margin_px: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return (N,) bool: whether pixels (N, 2) lie within a convex hull, by at least a margin.
 
     All True without a hull: then every bead is expected.
     """
-    if sides is None:
-        return np.ones(len(uv_px), dtype=bool)
-    return (uv_px @ sides[:, :2].T + sides[:, 2]).max(axis=1) <= -np.asarray(margin_px)
+    return np.ones(len(uv_px), dtype=bool) if hull is None else hull.distance_px(uv_px) <= -np.asarray(margin_px)

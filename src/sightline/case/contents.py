@@ -376,11 +376,9 @@ def planned(asked: PlanRequest, made: Plan) -> dict[str, Any]:
     }
 
 
-def shot(asked: DrillShotRequest, result: "DrillShot | str") -> dict[str, Any]:
-    """Return the content of an entry of a shot while drilling; `result` is the shot, or why it was refused."""
-    return {"asked": asked.document(), **({"refused": result} if isinstance(result, str) else result.document())}
+def shot(asked: CheckRequest | DrillShotRequest, result: "CheckShot | DrillShot | str") -> dict[str, Any]:
+    """Return the content of the entry of a check shot, or of a shot while drilling.
 
-
-def verified(asked: CheckRequest, result: CheckShot | str) -> dict[str, Any]:
-    """Return the content of a verified entry; `result` is the check shot, or why it was refused."""
+    `result` is the shot, or why it was refused.
+    """
     return {"asked": asked.document(), **({"refused": result} if isinstance(result, str) else result.document())}

@@ -173,7 +173,7 @@ def record_verified(
 
     Raises CaseError.
     """
-    return _record_measured(case, Kind.VERIFIED, (plan, *views), contents.verified(asked, result), by)
+    return _record_measured(case, Kind.VERIFIED, (plan, *views), contents.shot(asked, result), by)
 
 
 def record_shot(

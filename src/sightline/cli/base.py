@@ -191,7 +191,6 @@ WireKey = Annotated[
     str | None,
     typer.Option("--wire", help="Key of the wire, where several were planned together.", show_default=False),
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same files.")]
 ServeAt = Annotated[
     list[str] | None,
     typer.Option(

@@ -153,7 +153,7 @@ def _own(
     `plans`: offsets (S,) of the other plans from this one. Every line must be one wire, this or another. Raises
     WireRefusedError where another assignment of lines to wires explains the lines too.
     """
-    off = np.array([[_apart(line, plan) for plan in (0.0 * line, *plans)] for line in lines])
+    off = np.array([[np.median(np.abs(line - plan)) for plan in (0.0 * line, *plans)] for line in lines])
     best = np.full(len(lines) + 1, np.inf)  # rms distance, by the line that is the planned wire; the last: none is it
     for wires in permutations(range(off.shape[1]), len(lines)):
         own = wires.index(0) if 0 in wires else -1
@@ -173,11 +173,6 @@ def _own(
         "beside that of another wire, so it may be the other; check that the planned wire is in, and take the image "
         "from a direction that shows the wires apart"
     )
-
-
-def _apart(line: np.ndarray, other: np.ndarray) -> float:
-    """Return the median distance of two lines (S,)."""
-    return float(np.median(np.abs(line - other)))
 
 
 def _followed(dark: np.ndarray, known: np.ndarray, at: np.ndarray, reach: int, radius: float) -> np.ndarray:

@@ -215,14 +215,11 @@ def _depth(tab: Tab) -> Markup:
     )
 
 
-def _force_words(now: "RobotNow") -> str:
-    return "–" if now.force_n is None else f"{max(now.force_n, 0.0):.1f} N"
-
-
 def reading(now: "RobotNow") -> str:
     """Return the 95 % error of the depth with the source of its zero, and the thrust, as text."""
     depth = "–" if now.depth_mm is None else f"{_error_words(now)} (zero: {_zero_words(now)})"
-    return f"Depth {depth} · thrust {_force_words(now)}"
+    force = "–" if now.force_n is None else f"{max(now.force_n, 0.0):.1f} N"
+    return f"Depth {depth} · thrust {force}"
 
 
 def _error_words(now: "RobotNow") -> str:

@@ -37,6 +37,7 @@ from sightline.common.fitting import (
     terms,
     variance_ratio,
 )
+from sightline.common.geometry.covariance import block_diagonal
 from sightline.common.threads import one_blas_thread
 from sightline.errors import CalibrationRefusedError
 
@@ -100,7 +101,7 @@ class JointFit:
         total = errors.noise + errors.misfit + errors.frame_factor @ errors.frame_factor.T
         by_focal = self.pencil.by_pq(others.xyz_mm) @ np.linalg.inv(self.pencil.focal_point_by_pq)
         to_residual = np.concatenate([-by_focal.reshape(-1, 3), np.eye(2 * len(others))], axis=1)
-        covariance = to_residual @ total @ to_residual.T + diagonal(
+        covariance = to_residual @ total @ to_residual.T + block_diagonal(
             pixel_noise_mm2(others, self.map.jacobian(others.uv_px), self.learned.noise_scale)
         )
         covariance += _propagated(others, self.pencil.by_point(others.xyz_mm))
@@ -143,7 +144,7 @@ def _weighted_step(
     beads = start.beads
     (y, jacobian, _), by_pq = pencil.projected(beads.xyz_mm), pencil.by_pq(beads.xyz_mm)
     noise = pixel_noise_mm2(beads, slopes, learned.noise_scale)
-    covariance = _propagated(beads, jacobian) + twice(kernel) + diagonal(noise)
+    covariance = _propagated(beads, jacobian) + twice(kernel) + block_diagonal(noise)
     design = np.concatenate([twice(start.basis), -by_pq.reshape(-1, 3)], axis=1)
     solution = Kriging.of(design, covariance, y.reshape(-1, 1))
     theta = solution.theta[:, 0]
@@ -245,14 +246,6 @@ def _noise_px2(beads: Beads) -> np.ndarray:
 def pixel_noise_mm2(beads: Beads, slopes: np.ndarray, scale: float) -> np.ndarray:
     """Return the covariances (N, 2, 2), mm², of the beads' pixels propagated to the plane by `slopes` (N, 2, 2)."""
     return slopes @ (scale**2 * _noise_px2(beads)) @ np.swapaxes(slopes, 1, 2)
-
-
-def diagonal(blocks: np.ndarray) -> np.ndarray:
-    """Return the matrix (2N, 2N) with `blocks` (N, 2, 2) on its diagonal."""
-    n = len(blocks)
-    matrix = np.zeros((n, 2, n, 2))
-    matrix[range(n), :, range(n), :] = blocks
-    return matrix.reshape(2 * n, 2 * n)
 
 
 def _propagated(beads: Beads, jacobian: np.ndarray) -> np.ndarray:

@@ -19,10 +19,11 @@ from scipy.special import chdtri
 from sightline.calibration.maps.hull import well_conditioned
 from sightline.calibration.maps.smooth import DEGREE
 from sightline.calibration.plates.beads import Beads, match
-from sightline.calibration.plates.joint import JointFit, diagonal, fit_robustly, pixel_noise_mm2, twice
+from sightline.calibration.plates.joint import JointFit, fit_robustly, pixel_noise_mm2, twice
 from sightline.calibration.view import Pencil
 from sightline.common.checks import FALSE_ALARM, Check
 from sightline.common.fitting import cholesky, monomials, solve_lower
+from sightline.common.geometry.covariance import block_diagonal
 from sightline.common.geometry.rigid import displacement
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
@@ -203,7 +204,7 @@ class _Image:
         start = frame.rows(beads.view).start // 3
         at = fit.map.unit(beads.uv_px)
         kernel = fit.learned.kernel(at, at)
-        noise = diagonal(pixel_noise_mm2(beads, fit.map.jacobian(beads.uv_px), fit.learned.noise_scale))
+        noise = block_diagonal(pixel_noise_mm2(beads, fit.map.jacobian(beads.uv_px), fit.learned.noise_scale))
         return _Image(beads, fit, start + beads.rows, twice(monomials(at, DEGREE)), cholesky(twice(kernel) + noise))
 
 

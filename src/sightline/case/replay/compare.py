@@ -101,7 +101,7 @@ def _points(then: dict[str, Any], now: dict[str, Any]) -> str:
     if stated is None:
         return ""
     changes = {
-        f"{key.removesuffix('_mm')} point": (_length(then[key], now[key]), bound, "mm")
+        f"{key.removesuffix('_mm')} point": (float(np.linalg.norm(np.subtract(then[key], now[key]))), bound, "mm")
         for key, bound in stated.items()
         if key.endswith("_mm")
     }
@@ -127,7 +127,3 @@ def _beads(then: dict[str, Any], now: dict[str, Any]) -> str:
         return ""
     by, sd = np.linalg.norm(off[worst]), np.sqrt(np.trace(covariance[worst]) / 2)
     return f"bead {then['ids'][kept[worst]]} by {by:.2g} px, s.d. stated {sd:.2g} px"
-
-
-def _length(start: Any, other: Any) -> float:
-    return float(np.linalg.norm(np.subtract(start, other)))

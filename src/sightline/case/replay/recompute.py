@@ -141,7 +141,7 @@ class Recomputed:
             asked = DrillShotRequest.of(entry.content["asked"])
             again[Kind.SHOT] = lambda: contents.shot(asked, self.drill_shot(entry))
         if "asked" in entry.content:  # earlier versions did not record the request of a check shot
-            again[Kind.VERIFIED] = lambda: contents.verified(CheckRequest.of(entry.content["asked"]), self.shot(entry))
+            again[Kind.VERIFIED] = lambda: contents.shot(CheckRequest.of(entry.content["asked"]), self.shot(entry))
         return again[entry.kind]() if entry.kind in again else None
 
     def _planned(self, entry: Entry) -> dict[str, Any]:

@@ -42,6 +42,14 @@ def ellipsoid_factor(probability: float, dimension: int) -> float:
     return float(np.sqrt(2.0 * gammaincinv(dimension / 2.0, probability)))
 
 
+def block_diagonal(blocks: np.ndarray) -> np.ndarray:
+    """Return the matrix (2N, 2N) with blocks (N, 2, 2) on its diagonal."""
+    n = len(blocks)
+    matrix = np.zeros((n, 2, n, 2))
+    matrix[range(n), :, range(n), :] = blocks
+    return matrix.reshape(2 * n, 2 * n)
+
+
 def joined(own: Sequence[np.ndarray], between: Callable[[int, int], np.ndarray]) -> np.ndarray:
     """Return the covariance of several vectors: `own` (n_i, n_i) of each, `between(i, j)` (n_i, n_j) of two, i < j."""
     ends = np.cumsum([0, *(len(block) for block in own)])

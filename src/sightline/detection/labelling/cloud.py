@@ -37,7 +37,7 @@ class CloudMatch:
 
     `T_camera_cloud` takes the balls' coordinates to the camera's: origin in the focal point, x to the right, y down, z
     along the beam. `focal_px`; `principal_px` (2,). If `mirrored`, the camera belongs to the mirror image (u becomes
-    W - 1 - u). `rms_px`: of the residuals' lengths; `rms_sd`: of the residuals in standard deviations, 1 where the
+    W - 1 - u). `rms_sd`: of the residuals in standard deviations, 1 where the
     stated errors hold. `chance`: upper bound of the expected number of labellings as good among false detections.
     `second`: odds for the second-best labelling, 0 where none was found. `unclear`: rows that may show two balls, or
     one of two that may show the same ball.
@@ -49,7 +49,6 @@ class CloudMatch:
     focal_px: float
     principal_px: np.ndarray
     mirrored: bool
-    rms_px: float
     rms_sd: float
     chance: float
     second: float
@@ -96,7 +95,6 @@ def label_cloud(
         focal_px=float(np.exp(camera.numbers[3])),
         principal_px=camera.numbers[4:],
         mirrored=best.mirrored,
-        rms_px=float(np.sqrt((best.off_px**2).sum(axis=1).mean())),
         rms_sd=float(np.sqrt(best.fit.chi2 / (2 * len(best.rows) - 6))),
         chance=float(np.exp(-best.evidence)),
         second=second,

@@ -10,14 +10,14 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check
-from sightline.common.geometry.covariance import response
+from sightline.common.geometry.covariance import block_diagonal, response
 from sightline.common.geometry.lines import nearest_approach, unit
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, SightlineError, UnusableInputError
 from sightline.planning.bone.aids import Aids, Line
 from sightline.planning.bone.directions import caudal
 from sightline.planning.bone.drawings import Axis, find_axis, find_drawing
 from sightline.planning.bone.head import Redundant, Sphere, find_head, redundant_of_head
-from sightline.planning.points.lines_of_sight import Drawn, Sights, block_diagonal
+from sightline.planning.points.lines_of_sight import Drawn, Sights
 from sightline.planning.points.picks import Pick, PickArrays, stack
 from sightline.planning.points.results import SpacePoints
 from sightline.planning.points.solution import Method, Solution, inverse, solve

@@ -12,14 +12,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.calibration.view import CalibratedView, LinesOfSight, Pencil
 from sightline.common.checks import Limits
-from sightline.common.geometry.covariance import joined
+from sightline.common.geometry.covariance import block_diagonal, joined
 from sightline.common.geometry.lines import nearest_approach, unit
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.planning.check.result import MAX_OUTLIER, MIN_LANDMARKS, CheckShot, checks
 from sightline.planning.check.wires import GUIDED_MM, STILL, Beforehand, KnownWire, Landmarks, WireSeen
 from sightline.planning.points.lines_of_sight import (
     LineResiduals,
-    block_diagonal,
     pick_covariance_mm2,
     refuse_two_frames,
 )
@@ -206,16 +205,13 @@ class Adjustment:
         """(3,) the middle of the plan in the CFCS of the check images."""
         return self.movement.apply((self._trajectory.entry_mm + self._trajectory.end_mm) / 2)
 
-    def _offset(self, along_mm: np.ndarray | float) -> np.ndarray:
-        """Return the offsets (..., 2) of the wire from the planned axis, mm."""
-        return self._terms(along_mm) @ self._curve
-
     def _terms(self, along_mm: np.ndarray | float) -> np.ndarray:
         return terms(np.asarray(along_mm) / self._trajectory.length_mm)[..., : self._curve_terms]
 
     def _wire(self, along_mm: np.ndarray) -> np.ndarray:
         """Return points (N, 3) of the wire, CFCS of the planning images."""
-        return self._trajectory.entry_mm + along_mm[:, None] * self._axes[2] + self._offset(along_mm) @ self._axes[:2]
+        offset = self._terms(along_mm) @ self._curve  # from the planned axis
+        return self._trajectory.entry_mm + along_mm[:, None] * self._axes[2] + offset @ self._axes[:2]
 
     def _tangent(self, along_mm: np.ndarray) -> np.ndarray:
         """Return the derivative (N, 3) of `_wire` by `along_mm`."""

@@ -13,6 +13,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from sightline.calibration.view import SOURCES, CalibratedView, LinesOfSight
+from sightline.common.geometry.covariance import block_diagonal
 from sightline.common.geometry.planes import refuse_behind
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 
@@ -133,14 +134,6 @@ def refuse_repeated(views: Sequence[CalibratedView]) -> None:
                 f"one view is given twice ({first.name!r} and {second.name!r}, X-ray sources {baseline:.1f} mm apart); "
                 "give images taken from different directions"
             )
-
-
-def block_diagonal(blocks: np.ndarray) -> np.ndarray:
-    """Return the matrix (2N, 2N) with blocks (N, 2, 2) on its diagonal."""
-    n = len(blocks)
-    matrix = np.zeros((n, 2, n, 2))
-    matrix[range(n), :, range(n), :] = blocks
-    return matrix.reshape(2 * n, 2 * n)
 
 
 def pick_covariance_mm2(lines: LinesOfSight, covariance_px2: np.ndarray) -> np.ndarray:

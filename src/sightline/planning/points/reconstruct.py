@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView, LinesOfSight
-from sightline.common.geometry.covariance import TWO_SIDED_95, response
+from sightline.common.geometry.covariance import TWO_SIDED_95, block_diagonal, response
 from sightline.common.threads import one_blas_thread
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.planning.points.gaps import Gaps, gap_mm
@@ -229,8 +229,7 @@ def measured_in_plane(
     if lines.covariance is None:
         return Measured(float(size), None, per_mm)
     covariance = np.array(sum(lines.covariance.values()))
-    for k, jacobian in enumerate(lines.jacobian):
-        covariance[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] += pick_sd_px**2 * jacobian @ jacobian.T
+    covariance[3:, 3:] += block_diagonal(pick_sd_px**2 * lines.jacobian @ lines.jacobian.transpose(0, 2, 1))
     sd = float(np.sqrt((by @ covariance @ by.T)[0, 0]))
     return Measured(float(size), TWO_SIDED_95 * sd, per_mm)
 

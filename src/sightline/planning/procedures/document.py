@@ -53,6 +53,14 @@ class Strict(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
+class AsGiven(Strict):
+    """A part that is written without what is not given, so that files without it keep their fingerprints."""
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in write(self).items() if value is not None}
+
+
 @dataclass(frozen=True)
 class KnownCheck:
     """A check that a file may name: the limits that it takes, their unit, the aids or landmarks that it needs.
@@ -127,7 +135,7 @@ def _refuse_others(part: Strict, what: str, names: Sequence[str], takes: Sequenc
             )
 
 
-class CheckRule(Strict):
+class CheckRule(AsGiven):
     """One check of the wire against the bone: its name in CHECKS, its limits, and their source.
 
     The checks named like a metric of the implant judge the metric's 95 % interval, which must lie within the limits.
@@ -155,11 +163,6 @@ class CheckRule(Strict):
         if self.required is not None and self.required == (self.optional is not None):
             raise ValueError("is not required; say in 'optional' why a plan may do without it, and remove 'required'")
         return self
-
-    @model_serializer(mode="wrap")
-    def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what is not given."""
-        return {key: value for key, value in write(self).items() if value is not None}
 
     @property
     def code(self) -> CheckCode | None:
@@ -341,7 +344,7 @@ class LimitAsked(Strict):
     source: Text
 
 
-class LimitsAsked(Strict):
+class LimitsAsked(AsGiven):
     """Limits of the 95 % errors of position and direction, and how far past the end point the wire is drilled.
 
     `before_mm`: how far before an entry point within the bone the bone may begin.
@@ -351,11 +354,6 @@ class LimitsAsked(Strict):
     direction_deg: LimitAsked
     beyond_mm: LimitAsked
     before_mm: LimitAsked | None = None
-
-    @model_serializer(mode="wrap")
-    def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what is not given, so that files without it keep their fingerprints."""
-        return {key: value for key, value in write(self).items() if value is not None}
 
     @model_validator(mode="after")
     def _above_zero(self) -> Self:

@@ -64,7 +64,8 @@ def _arm(model: Any, data: Any, flange: int, chain: list[int], *, has_feed: bool
     axis, anchor = data.xaxis[chain], data.xanchor[chain] * _M
     axes = np.where(rotary[:, None], np.hstack([axis, np.cross(anchor, axis)]), np.hstack([0 * axis, axis]))
     limits = model.jnt_range[chain] * np.where(rotary, 1.0, _M)[:, None]
-    home = _pose(data.xpos[flange], data.xquat[flange])
+    turned = Rotation.from_quat(data.xquat[flange], scalar_first=True)
+    home = RigidTransform.from_components(data.xpos[flange] * _M, turned)
     speed = np.where(rotary, ARM_SPEED_RAD_S, SLIDE_SPEED_MM_S)
     return Manipulator(
         joints=tuple(model.joint(joint).name or f"joint {k + 1}" for k, joint in enumerate(chain)),
@@ -125,7 +126,3 @@ def _parts(model: Any, data: Any, chain: list[int], home: RigidTransform) -> tup
         moved = sum(joint in carried for joint in chain)
         parts.append(Capsule(model.body(body).name or "base", moved, ends, radius))
     return tuple(parts)
-
-
-def _pose(position_m: np.ndarray, wxyz: np.ndarray) -> RigidTransform:
-    return RigidTransform.from_components(position_m * _M, Rotation.from_quat(wxyz, scalar_first=True))

@@ -115,11 +115,6 @@ class Wire:
         self._samples, self._weights = _density_samples(self.radius_mm)
         _squeezed(1.0, 1.0, 1.0)  # compile now, not in a control loop at first contact
 
-    @property
-    def gripped(self) -> bool:
-        """Whether the sleeve's teeth grip the bone, so that its mouth stays."""
-        return self._gripped is not None
-
     def step(self, straight_mm: np.ndarray, axes: np.ndarray, free_mm: float, turning: bool, dt_s: float) -> float:
         """Advance the state by `dt_s` and return the thrust, N.
 
