@@ -1,6 +1,7 @@
 """The adapter for ros2_control, alone and behind the link, against a controller of ROS 2 in another process; and what
 `--serve` shows, read in another node."""
 
+import os
 import re
 import subprocess
 import sys
@@ -145,7 +146,9 @@ SHOWN = f"/{NAMESPACE}"  # of --serve
 @contextmanager
 def served(states: list[LiveState]) -> Iterator[None]:
     """Show the last of `states`."""
+    del os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"]
     with serving([f"ros2:{SHOWN}"], lambda: states[-1], Output(json=False, quiet=True)):
+        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
         yield
 
 

@@ -269,8 +269,9 @@ def _served(address: str, state: "Callable[[], LiveState]", output: "Output") ->
     from sightline.case import live_ros2
 
     if address.startswith(live_ros2.SCHEME):
+        reach = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # ROS 2's own default is SUBNET
         publisher = live_ros2.broadcast(address, state)
-        output.say(f"ROS 2 at {address.removeprefix(live_ros2.SCHEME)}, for programs in this ROS domain")
+        output.say(f"ROS 2 at {address.removeprefix(live_ros2.SCHEME)}, discovery range {reach}")
         return publisher
     from sightline.case.live import LiveMessages
     from sightline.robot.transport.broadcast import Broadcast, port_of
