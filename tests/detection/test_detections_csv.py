@@ -67,7 +67,7 @@ def test_observations_are_not_taken_for_them(tmp_path: Path) -> None:
         ("u_px,v_px,radius_px\n", "holds no beads"),
         ("u_px,v_px,radius_px,x\n1,2,3,4\n", "the columns are"),
         ("u_px,v_px,radius_px,suu_px2\n1,2,3,4\n", "the columns are"),
-        ("u_px,v_px,radius_px,radius_px\n1,2,3,4\n", "the columns are"),
+        ("u_px,v_px,radius_px,radius_px\n1,2,3,4\n", "a column twice"),
         ("u_px,v_px,radius_px\n1,2,3\n1,nan,3\n", "line 3"),
         ("u_px,v_px,radius_px\n1,2\n", "line 2"),
         ("u_px,v_px,radius_px\n1,2,3,4\n", "line 2"),

@@ -1,8 +1,6 @@
 """Safe reading of untrusted files: only regular files, and never more than a limit."""
 
-import csv
 import io
-import re
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from errno import EISDIR
@@ -44,46 +42,6 @@ def read_bounded(file: Path, max_bytes: int, refuse: type[UnusableInputError], h
         size = f"{max_bytes >> 20} MiB" if max_bytes >= 2**20 else f"{max_bytes >> 10} KiB"
         raise refuse(f"{file.name} is larger than {size}; {hint}")
     return data
-
-
-def read_csv(file: Path, max_bytes: int, refuse: type[UnusableInputError], hint: str) -> str:
-    """Return the text of a table of at most `max_bytes`, in UTF-8, with commas between cells and decimal points.
-
-    Raises `refuse`.
-    """
-    try:
-        text = read_bounded(file, max_bytes, refuse, hint).decode("utf-8-sig")
-        return _with_commas(text)
-    except UnicodeDecodeError as error:
-        raise refuse(f"{file.name} is not a text file in UTF-8; {hint}") from error
-    except csv.Error as error:
-        raise refuse(f"{file.name} is not a table (CSV): {error}") from None
-    except ValueError as error:
-        raise refuse(f"{file.name}: {error}") from None
-
-
-_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
-_DECIMAL_POINT = re.compile(r"\s*[+-]?\d*\.\d+(?:[eE][+-]?\d+)?\s*")
-
-
-def _with_commas(text: str) -> str:
-    """Return a table whose cells are separated by semicolons or tabs with commas instead, and its decimal commas as
-    points. Raises ValueError where it has numbers of both kinds: one of them may separate thousands."""
-    first = text.partition("\n")[0]
-    separator = next((mark for mark in ";\t" if mark in first), None)
-    if separator is None:
-        return text
-    rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True))
-    cells = [cell for row in rows for cell in row]
-    comma = next((cell for cell in cells if _DECIMAL_COMMA.fullmatch(cell)), None)
-    point = next((cell for cell in cells if _DECIMAL_POINT.fullmatch(cell)), None)
-    if comma and point:
-        raise ValueError(f"{comma.strip()} has a decimal comma and {point.strip()} a point; write all numbers alike")
-    written = io.StringIO()
-    csv.writer(written, lineterminator="\n").writerows(
-        [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in row] for row in rows
-    )
-    return written.getvalue()
 
 
 CheckArray = Callable[[tuple[int, ...], np.dtype], None]

@@ -5,13 +5,13 @@ import io
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from math import isfinite
 from pathlib import Path
 
 import numpy as np
 
 from sightline.common.atomic import write_whole
-from sightline.common.bounded import MAX_TEXT_BYTES, read_csv, regular_file
+from sightline.common.bounded import MAX_TEXT_BYTES, regular_file
+from sightline.common.tables import Row, read_rows
 from sightline.detection.labelling import label
 from sightline.detection.results import Detections, Observations
 from sightline.errors import ObservationsError
@@ -32,28 +32,20 @@ _USUAL_SD_PX = 0.1
 
 def read_observations(path: str | Path) -> dict[str, Observations]:
     """Return the observations in a CSV file, by view. Raises ObservationsError, which names the line."""
-    name = Path(path).name
-    reader = csv.reader(
-        io.StringIO(
-            read_csv(Path(path), MAX_TEXT_BYTES, ObservationsError, "give the beads of one pair of images as CSV")
-        ),
-        strict=True,
-    )
-    rows: dict[str, list[tuple[str, list[float]]]] = {}
-    try:
-        header = tuple(cell.strip() for cell in next(reader, []))
-        if header not in _HEADERS:
-            expected = f"{','.join(_COLUMNS)}[,{','.join(_COVARIANCE)}][,{','.join(_RADIUS)}]"
-            raise ObservationsError(f"{name}, line 1: the columns are {','.join(header)!r}; {expected} was expected")
-        for cells in reader:
-            if cells:
-                view, fiducial, numbers = _row(cells, header, f"{name}, line {reader.line_num}")
-                rows.setdefault(view, []).append((fiducial, numbers))
-    except csv.Error as error:
-        raise ObservationsError(f"{name}, line {reader.line_num}: {error}; write plain comma-separated text") from None
-    if not rows:
-        raise ObservationsError(f"{name} holds no observations; give one line for each bead seen")
-    return {view: _observations(view, beads, header) for view, beads in rows.items()}
+    file = Path(path)
+    header, rows = read_rows(file, MAX_TEXT_BYTES, ObservationsError, "give the beads of one pair of images as CSV")
+    if header not in _HEADERS:
+        expected = f"{','.join(_COLUMNS)}[,{','.join(_COVARIANCE)}][,{','.join(_RADIUS)}]"
+        raise ObservationsError(f"{file.name}, line 1: the columns are {','.join(header)!r}; {expected} was expected")
+    beads: dict[str, list[tuple[str, list[float]]]] = {}
+    for row in rows:
+        view, fiducial = row.text("view"), row.text("id")
+        if not (0 < len(view) <= _MAX_TEXT and 0 < len(fiducial) <= _MAX_TEXT):
+            raise row.error(f"the view and the fiducial each need a name of 1 to {_MAX_TEXT} characters")
+        beads.setdefault(view, []).append((fiducial, _numbers(row, header[2:])))
+    if not beads:
+        raise ObservationsError(f"{file.name} holds no observations; give one line for each bead seen")
+    return {view: _observations(view, seen, header) for view, seen in beads.items()}
 
 
 def write_observations(observations: Iterable[Observations], path: str | Path) -> Path:
@@ -81,25 +73,16 @@ def _lines(view: Observations, header: tuple[str, ...]) -> Iterator[list[str]]:
         yield [view.view, fiducial, *(repr(float(number)) for number in numbers)]
 
 
-def _row(cells: list[str], header: tuple[str, ...], where: str) -> tuple[str, str, list[float]]:
-    if len(cells) != len(header):
-        raise ObservationsError(f"{where}: {len(cells)} values where {len(header)} were expected")
-    view, fiducial = cells[0].strip(), cells[1].strip()
-    if not (0 < len(view) <= _MAX_TEXT and 0 < len(fiducial) <= _MAX_TEXT):
-        raise ObservationsError(f"{where}: the view and the fiducial each need a name of 1 to {_MAX_TEXT} characters")
-    try:
-        numbers = [float(cell) for cell in cells[2:]]
-    except ValueError:
-        raise ObservationsError(f"{where}: {', '.join(cells[2:])} are not all numbers") from None
-    if not all(isfinite(number) for number in numbers):
-        raise ObservationsError(f"{where}: a value is not finite; leave out beads that were not measured")
-    if _RADIUS[0] in header and numbers[-1] <= 0:
-        raise ObservationsError(f"{where}: the radius is not above zero; give that of the bead's shadow, px")
-    if _COVARIANCE[0] in header:
+def _numbers(row: Row, columns: tuple[str, ...]) -> list[float]:
+    """Return the numbers of one bead. Raises ObservationsError."""
+    numbers = [row.number(column) for column in columns]
+    if _RADIUS[0] in columns and numbers[-1] <= 0:
+        raise row.error("the radius is not above zero; give that of the bead's shadow, px")
+    if _COVARIANCE[0] in columns:
         suu, suv, svv = numbers[2:5]
         if suu <= 0 or svv <= 0 or suv * suv >= suu * svv:
-            raise ObservationsError(f"{where}: the covariance is not positive definite; check suu, suv and svv")
-    return view, fiducial, numbers
+            raise row.error("the covariance is not positive definite; check suu, suv and svv")
+    return numbers
 
 
 def _observations(view: str, beads: list[tuple[str, list[float]]], header: tuple[str, ...]) -> Observations:
@@ -135,15 +118,9 @@ def label_csv(
 
 def read_detections(path: Path) -> tuple[Detections, bool]:
     """Return the detections of a file, and whether it states the errors of their centres. Raises ObservationsError."""
-    text = read_csv(path, MAX_TEXT_BYTES, ObservationsError, "give one image's beads as CSV")
-    try:
-        if not text:
-            raise ObservationsError(f"{path.name} is empty; give one image's beads as CSV")
-        reader = csv.DictReader(io.StringIO(text), strict=True, skipinitialspace=True)
-        columns = _detection_columns(reader, path.name)
-        rows = [_detection(row, columns, f"{path.name}, line {reader.line_num}") for row in reader]
-    except csv.Error:
-        raise ObservationsError(f"{path.name} is not plain comma-separated text in UTF-8") from None
+    columns, given = read_rows(path, MAX_TEXT_BYTES, ObservationsError, "give one image's beads as CSV")
+    _refuse_columns(columns, path.name)
+    rows = [_detection(row, columns) for row in given]
     if not rows:
         raise ObservationsError(f"{path.name} holds no beads; give one line for each")
     uv = np.array([[row["u_px"], row["v_px"]] for row, _ in rows])
@@ -159,8 +136,7 @@ def read_detections(path: Path) -> tuple[Detections, bool]:
     return beads, known
 
 
-def _detection_columns(reader: "csv.DictReader[str]", name: str) -> list[str]:
-    columns = [column.strip() for column in reader.fieldnames or ()]
+def _refuse_columns(columns: tuple[str, ...], name: str) -> None:
     missing = [column for column in _NEEDED if column not in columns]
     if missing:
         raise ObservationsError(
@@ -169,31 +145,24 @@ def _detection_columns(reader: "csv.DictReader[str]", name: str) -> list[str]:
         )
     unknown = [column for column in columns if column not in _NEEDED + _OPTIONAL]
     some = [column in columns for column in _COVARIANCE]
-    if unknown or len(set(columns)) != len(columns) or any(some) != all(some) or (any(some) and "sd_px" in columns):
+    if unknown or any(some) != all(some) or (any(some) and "sd_px" in columns):
         raise ObservationsError(
             f"{name}: the columns are {','.join(columns)!r}; besides {','.join(_NEEDED)} there may be sd_px or "
             f"{','.join(_COVARIANCE)}, and kind and contrast, each once"
         )
-    reader.fieldnames = columns
-    return columns
 
 
-def _detection(row: dict[str, str], columns: list[str], where: str) -> tuple[dict[str, float], str]:
-    """Return the numbers and the kind of a line."""
-    kind = (row.get("kind") or "ball").strip()
-    try:
-        numbers = {column: float(row[column]) for column in columns if column != "kind"}
-    except (TypeError, ValueError):
-        numbers = {}
-    if None in row or kind not in _KINDS or not numbers or not all(map(isfinite, numbers.values())):
-        raise ObservationsError(
-            f"{where}: {len(columns)} finite numbers were expected, and a kind of {'/'.join(_KINDS)}"
-        )
+def _detection(row: Row, columns: tuple[str, ...]) -> tuple[dict[str, float], str]:
+    """Return the numbers and the kind of a line. Raises ObservationsError."""
+    numbers = {column: row.number(column) for column in columns if column != "kind"}
+    kind = row.text("kind") or "ball"
+    if kind not in _KINDS:
+        raise row.error(f"the kind is {kind!r}; write one of {', '.join(_KINDS)}")
     if not 0 < numbers["radius_px"] < 1e4 or max(abs(numbers["u_px"]), abs(numbers["v_px"])) > 1e5:
-        raise ObservationsError(f"{where}: a radius above zero and a pixel of an image were expected")
+        raise row.error("a radius above zero and a pixel of an image were expected")
     (a, b), (_, d) = _stated_covariance(numbers)
     if not (a > 0 and d > 0 and b * b < a * d):
-        raise ObservationsError(f"{where}: the error is not positive; check sd_px, or suu, suv and svv")
+        raise row.error("the error is not positive; check sd_px, or suu, suv and svv")
     return numbers, kind
 
 

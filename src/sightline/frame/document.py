@@ -17,8 +17,9 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from sightline.common.bounded import MAX_JSON_BYTES, read_bounded, read_csv
+from sightline.common.bounded import MAX_JSON_BYTES, read_bounded
 from sightline.common.strict import explain, read_strictly
+from sightline.common.tables import read_csv
 from sightline.errors import FrameError
 from sightline.frame.designs import FRAME_NAMES, SMALL_MM
 from sightline.frame.plate import Fiducial, Shape

@@ -2,10 +2,9 @@
 
 import csv
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from io import StringIO
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,9 @@ import numpy as np
 from pydantic import ValidationError
 from scipy.linalg import block_diag
 
-from sightline.common.bounded import MAX_JSON_BYTES, read_csv
+from sightline.common.bounded import MAX_JSON_BYTES
 from sightline.common.strict import explain
+from sightline.common.tables import Row, read_csv, read_rows
 from sightline.errors import FrameError
 from sightline.frame.document import ADVICE, DIAMETER_MM, FrameDocument, read_cube
 from sightline.frame.model import Frame
@@ -38,66 +38,34 @@ _COORDINATE = re.compile(r"^([xyz])(?:[ _]*[\[(]?([a-zµ\"]+)[\])]?)?$")
 MIN_SD_MM, MAX_SD_MM = 1e-5, 10.0  # of a measured centre: better than an interferometer, worse than a ruler [ours]
 
 
-@dataclass(frozen=True)
-class _Row:
-    """One row of a table, with its line number for messages."""
-
-    cells: Mapping[str, str]
-    line: int
-
-    def text(self, column: str) -> str:
-        return self.cells.get(column, "").strip()
-
-    def number(self, column: str) -> float:
-        try:
-            return float(self.cells[column])
-        except ValueError:
-            raise self.error(
-                f"{column} is {self.cells[column]!r}, not a number; write it with a decimal point"
-            ) from None
-
-    def error(self, words: str) -> FrameError:
-        return FrameError(f"line {self.line}: {words}")
-
-    def covariance(self, ways: Sequence[tuple[str, ...]]) -> np.ndarray | None:
-        """Return the covariance (3, 3) of the row's ball, mm², stated in one of several ways; None without one."""
-        stated = [way for way in ways if any(map(self.text, way))]
-        if not stated:
-            return None
-        (way, *others) = stated
-        if others or not all(map(self.text, way)):
-            names = ", or ".join(", ".join(each) for each in ways)
-            raise self.error(f"state a ball's error in one way, with all of its columns: {names}")
-        values = [self.number(column) for column in way]
-        if way is not _COVARIANCE:
-            if min(values) < 0:
-                raise self.error(f"{way[0]} is {min(values):g}; give an error above zero")
-            return np.diag(np.broadcast_to([value * value for value in values], 3))
-        xx, xy, xz, yy, yz, zz = values
-        return np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
+def _covariance(row: Row, ways: Sequence[tuple[str, ...]]) -> np.ndarray | None:
+    """Return the covariance (3, 3) of a row's ball, mm², stated in one of several ways; None without one."""
+    stated = [way for way in ways if any(map(row.text, way))]
+    if not stated:
+        return None
+    (way, *others) = stated
+    if others or not all(map(row.text, way)):
+        names = ", or ".join(", ".join(each) for each in ways)
+        raise row.error(f"state a ball's error in one way, with all of its columns: {names}")
+    values = [row.number(column) for column in way]
+    if way is not _COVARIANCE:
+        if min(values) < 0:
+            raise row.error(f"{way[0]} is {min(values):g}; give an error above zero")
+        return np.diag(np.broadcast_to([value * value for value in values], 3))
+    xx, xy, xz, yy, yz, zz = values
+    return np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
 
 
 def _rows(
-    text: str, file: Path, needed: Sequence[str], optional: Collection[str], column: Callable[[str], str] = str.strip
-) -> list[_Row]:
+    file: Path, needed: Sequence[str], optional: Collection[str], column: Callable[[str], str] = str.strip
+) -> list[Row]:
     """Return the rows of a table. `column`: returns a header cell's column name. Raises FrameError."""
-    reader = csv.DictReader(StringIO(text, newline=""), strict=True)
-    try:
-        columns = [column(name) for name in reader.fieldnames or ()]
-        reader.fieldnames = columns
-        rows = [(reader.line_num, row) for row in reader]
-    except csv.Error as error:
-        raise FrameError(f"{file.name} is not a CSV file: {error}") from None
+    columns, rows = read_rows(file, MAX_JSON_BYTES, FrameError, "give a table of balls as CSV", column)
     if missing := [name for name in needed if name not in columns]:
         raise FrameError(f"{file.name} lacks the columns {', '.join(missing)}; give {', '.join(needed)}")
-    if len(set(columns)) < len(columns):
-        raise FrameError(f"{file.name} has a column twice; remove one")
     if unknown := [name for name in columns if name not in (*needed, *optional)]:
         raise FrameError(f"{file.name} has the unknown column {unknown[0]!r}; it may have {', '.join(optional)}")
-    for line, row in rows:
-        if None in row or None in row.values():
-            raise FrameError(f"{file.name}, line {line}: the number of cells differs from that of the columns")
-    return [_Row(row, line) for line, row in rows]
+    return rows
 
 
 def _all_or_none(blocks: Sequence[np.ndarray | None]) -> list[np.ndarray]:
@@ -125,17 +93,17 @@ def frame_from_csv(path: str | Path, name: str, diameter_mm: float | None = None
         return replace(Frame.from_document(cube), name=name)
     if diameter_mm is not None or unit is not None:
         raise FrameError(f"{file.name} states its diameters in mm; leave out --diameter-mm and --units")
-    rows = _rows(text, file, (*_PLATE, *_BALL) if columns & set(_PLATE) else _BALL, _OPTIONAL)
+    rows = _rows(file, (*_PLATE, *_BALL) if columns & set(_PLATE) else _BALL, _OPTIONAL)
     try:
         frame = Frame.from_document(FrameDocument.model_validate(_document(rows, name)))
     except ValidationError as error:
         raise FrameError(f"{file.name}: {explain(error, ADVICE)}") from None
     row_of = {row.text("id"): row for row in rows}
-    stated = _all_or_none([row_of[f.id].covariance((_SD, _COVARIANCE)) for f in frame.fiducials])
+    stated = _all_or_none([_covariance(row_of[f.id], (_SD, _COVARIANCE)) for f in frame.fiducials])
     return replace(frame, covariance_mm2=_whole_covariance(frame, np.array(stated))) if stated else frame
 
 
-def _document(rows: Sequence[_Row], name: str) -> dict[str, Any]:
+def _document(rows: Sequence[Row], name: str) -> dict[str, Any]:
     """Return the document of a frame with these balls, unchecked."""
     document: dict[str, Any] = {"name": name, "units": "mm"}
     if rows and "plate" not in rows[0].cells:
@@ -148,7 +116,7 @@ def _document(rows: Sequence[_Row], name: str) -> dict[str, Any]:
     return document | {"views": views}
 
 
-def _fiducial(row: _Row) -> dict[str, Any]:
+def _fiducial(row: Row) -> dict[str, Any]:
     if (datum := row.text("datum").lower()) not in _TRUTH:
         raise row.error(f"datum is {datum!r}; write true or false")
     return {
@@ -162,9 +130,8 @@ def _fiducial(row: _Row) -> dict[str, Any]:
 
 def _whole_covariance(frame: Frame, blocks: np.ndarray) -> np.ndarray:
     """Return the measured balls' covariance plus the shared errors of the default tolerances. Raises FrameError."""
-    smallest = np.linalg.eigvalsh(blocks)[:, 0] if np.isfinite(blocks).all() else np.array([-np.inf])
-    if (smallest < -1e-9 * np.abs(blocks).max(axis=(1, 2))).any():
-        raise FrameError("a ball's covariance is not finite or not positive semi-definite; correct its row")
+    if (np.linalg.eigvalsh(blocks)[:, 0] < -1e-9 * np.abs(blocks).max(axis=(1, 2))).any():
+        raise FrameError("a ball's covariance is not positive semi-definite; correct its row")
     shared = replace(frame, tolerances=replace(Tolerances(), bead_mm=0.0)).error_factor
     covariance = shared @ shared.T + block_diag(*blocks)
     covariance.flags.writeable = False
@@ -215,12 +182,12 @@ def read_measurements(path: str | Path, covariance: str | Path | None = None) ->
     Raises FrameError, which names the line.
     """
     file = Path(path)
-    rows = [row for row in _rows(_text(file), file, ("id", *_XYZ), _MEASURED, _column) if _is_measured(row)]
+    rows = [row for row in _rows(file, ("id", *_XYZ), _MEASURED, _column) if _is_measured(row)]
     if not rows:
         raise FrameError(f"fill in x_mm, y_mm and z_mm: {file.name} has no measured ball")
     ids = np.array([row.text("id") for row in rows], dtype=object)
     names = np.array([row.text("series") or "1" for row in rows], dtype=object)
-    xyz = np.array([[_finite(row, column) for column in _XYZ] for row in rows])
+    xyz = np.array([[row.number(column) for column in _XYZ] for row in rows])
     diameters = np.array([_diameter(row) for row in rows])
     blocks = _all_or_none([_instrument_error(row) for row in rows])
     whole: np.ndarray | None = np.asarray(block_diag(*blocks)) if blocks else None
@@ -242,10 +209,6 @@ def read_measurements(path: str | Path, covariance: str | Path | None = None) ->
     return tuple(series)
 
 
-def _text(file: Path) -> str:
-    return read_csv(file, MAX_JSON_BYTES, FrameError, "give a table of balls as CSV")
-
-
 def _column(name: str) -> str:
     """Return a header cell's column name: `x`, `X [mm]` and `x_mm` are the same. Raises FrameError for other units."""
     plain = name.strip().lower()
@@ -259,7 +222,7 @@ def _column(name: str) -> str:
     return f"{coordinate[1]}_mm"
 
 
-def _is_measured(row: _Row) -> bool:
+def _is_measured(row: Row) -> bool:
     """Return whether a row has a measurement: on an inspection sheet, an unmeasured ball has empty cells."""
     filled = [bool(row.text(column)) for column in _XYZ]
     if any(filled) and not all(filled):
@@ -267,23 +230,17 @@ def _is_measured(row: _Row) -> bool:
     return all(filled)
 
 
-def _finite(row: _Row, column: str) -> float:
-    if not isfinite(value := row.number(column)):
-        raise row.error(f"{column} is {row.cells[column]!r}, which is not finite; leave the ball out")
-    return value
-
-
-def _diameter(row: _Row) -> float:
+def _diameter(row: Row) -> float:
     if not row.text("diameter_mm"):
         return float("nan")
-    if (value := _finite(row, "diameter_mm")) <= 0:
+    if (value := row.number("diameter_mm")) <= 0:
         raise row.error(f"diameter_mm is {value:g}; give a diameter above zero")
     return value
 
 
-def _instrument_error(row: _Row) -> np.ndarray | None:
-    block = row.covariance((_SD, _SD_PER_AXIS, _COVARIANCE))
-    if block is not None and not (np.isfinite(block).all() and np.linalg.eigvalsh(block)[0] > 0):
+def _instrument_error(row: Row) -> np.ndarray | None:
+    block = _covariance(row, (_SD, _SD_PER_AXIS, _COVARIANCE))
+    if block is not None and np.linalg.eigvalsh(block)[0] <= 0:
         raise row.error("state an error above zero in every direction; no instrument is exact")
     return block
 
@@ -291,7 +248,11 @@ def _instrument_error(row: _Row) -> np.ndarray | None:
 def _matrix(file: Path, size: int) -> np.ndarray:
     """Return the covariance (size, size) in a CSV of numbers. Raises FrameError."""
     try:
-        rows: list[Any] = [[float(cell) for cell in row] for row in csv.reader(StringIO(_text(file))) if row]
+        rows: list[Any] = [
+            [float(cell) for cell in row]
+            for row in csv.reader(StringIO(read_csv(file, MAX_JSON_BYTES, FrameError, "give a covariance as CSV")))
+            if row
+        ]
     except (ValueError, csv.Error):
         raise FrameError(f"{file.name} must contain only numbers, separated by commas") from None
     if len(rows) != size or any(len(row) != size for row in rows):

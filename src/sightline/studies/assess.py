@@ -1,12 +1,9 @@
 """The paper's Table 1 for the user's own machine: reconstructed test points compared with their measured positions."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +11,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from sightline.calibration import CalibratedView
-from sightline.common.bounded import MAX_TEXT_BYTES, read_csv
+from sightline.common.bounded import MAX_TEXT_BYTES
 from sightline.common.checks import Check
 from sightline.common.geometry.covariance import length_quantile
 from sightline.common.geometry.lines import angle_rad
+from sightline.common.tables import read_rows
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, UnusableInputError
 from sightline.planning import SpacePoints, reconstruct
@@ -46,41 +44,21 @@ def read_points(path: str | Path) -> MeasuredPoints:
     Raises UnusableInputError, which names the line.
     """
     file = Path(path)
-    text = read_csv(file, MAX_TEXT_BYTES, UnusableInputError, "give a table of test points as CSV")
-    try:
-        rows = list(csv.reader(io.StringIO(text), strict=True))
-    except csv.Error:
-        raise UnusableInputError(
-            f"{file.name} is not CSV text; write {','.join(_PLACE)} and one line per point"
-        ) from None
-    header = tuple(cell.strip() for cell in rows[0]) if rows else ()
+    header, rows = read_rows(file, MAX_TEXT_BYTES, UnusableInputError, "give a table of test points as CSV")
     if header not in (_PLACE, _PLACE + _PIXELS):
         expected = f"{','.join(_PLACE)}[,{','.join(_PIXELS)}]"
         raise UnusableInputError(f"{file.name}, line 1: the columns are {','.join(header)!r}; {expected} was expected")
-    numbers = {}
-    for line, cells in enumerate(rows[1:], start=2):
-        if cells:
-            name, values = _row(cells, len(header), f"{file.name}, line {line}")
-            if name in numbers:
-                raise UnusableInputError(f"{file.name}, line {line}: the point {name!r} occurs twice; rename one")
-            numbers[name] = values
+    numbers: dict[str, list[float]] = {}
+    for row in rows:
+        name = row.text("name")
+        if name in numbers:
+            raise row.error(f"the point {name!r} occurs twice; rename one")
+        numbers[name] = [row.number(column) for column in header[1:]]
     if not numbers:
         raise UnusableInputError(f"{file.name} holds no points; give one line for each")
     table = np.array(list(numbers.values()))
     picks = table[:, 3:].reshape(-1, 2, 2).swapaxes(0, 1) if len(header) > len(_PLACE) else None
     return MeasuredPoints(tuple(numbers), table[:, :3], picks)
-
-
-def _row(cells: list[str], columns: int, where: str) -> tuple[str, list[float]]:
-    if len(cells) != columns:
-        raise UnusableInputError(f"{where}: {len(cells)} cells; {columns} were expected")
-    try:
-        values = [float(cell) for cell in cells[1:]]
-    except ValueError:
-        values = [float("nan")]
-    if not all(isfinite(value) for value in values):
-        raise UnusableInputError(f"{where}: a value is not a finite number")
-    return cells[0].strip(), values
 
 
 def find_balls(

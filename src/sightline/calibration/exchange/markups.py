@@ -1,15 +1,14 @@
 """Named points from 3D Slicer's markups (.mrk.json) and from tables (CSV). Readers raise UnusableInputError."""
 
-import csv
-import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sightline.calibration.exchange import reading
-from sightline.common.bounded import MAX_TEXT_BYTES, read_csv
+from sightline.common.bounded import MAX_TEXT_BYTES
+from sightline.common.tables import read_rows
 from sightline.errors import UnusableInputError
 
 COLUMNS = ("name", "coordinates", "x_mm", "y_mm", "z_mm")
@@ -29,20 +28,14 @@ def read_points(path: str | Path) -> dict[str, np.ndarray]:
     return dict(points)
 
 
-def read_table(file: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Return the rows of a table with these columns and perhaps more, by column."""
-    text = read_csv(file, MAX_TEXT_BYTES, UnusableInputError, f"give a table of {','.join(columns)}")
-    try:
-        rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), strict=True) if row]
-    except csv.Error as error:
-        raise UnusableInputError(f"{file.name} is not a table (CSV): {error}") from None
-    header = rows[0] if rows else []
-    if not set(columns) <= set(header) or any(len(row) != len(header) for row in rows):
+def read_table(file: Path, needed: Sequence[str]) -> list[Mapping[str, str]]:
+    """Return the cells of each row of a table with these columns and perhaps more. Raises UnusableInputError."""
+    columns, rows = read_rows(file, MAX_TEXT_BYTES, UnusableInputError, f"give a table of {','.join(needed)}")
+    if not set(needed) <= set(columns):
         raise UnusableInputError(
-            f"{file.name} has the columns {','.join(header)[:200] or 'none'}; {','.join(columns)} are needed, and as "
-            "many cells in each line"
+            f"{file.name} has the columns {','.join(columns)[:200] or 'none'}; {','.join(needed)} are needed"
         )
-    return [dict(zip(header, row, strict=True)) for row in rows[1:]]
+    return [row.cells for row in rows]
 
 
 def _of_table(file: Path) -> list[tuple[str, np.ndarray]]:
