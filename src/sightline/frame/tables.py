@@ -130,8 +130,9 @@ def _fiducial(row: Row) -> dict[str, Any]:
 
 def _whole_covariance(frame: Frame, blocks: np.ndarray) -> np.ndarray:
     """Return the measured balls' covariance plus the shared errors of the default tolerances. Raises FrameError."""
-    if (np.linalg.eigvalsh(blocks)[:, 0] < -1e-9 * np.abs(blocks).max(axis=(1, 2))).any():
-        raise FrameError("a ball's covariance is not positive semi-definite; correct its row")
+    smallest = np.linalg.eigvalsh(blocks)[:, 0] if np.isfinite(blocks).all() else np.array([-np.inf])
+    if (smallest < -1e-9 * np.abs(blocks).max(axis=(1, 2))).any():
+        raise FrameError("a ball's covariance is not finite or not positive semi-definite; correct its row")
     shared = replace(frame, tolerances=replace(Tolerances(), bead_mm=0.0)).error_factor
     covariance = shared @ shared.T + block_diag(*blocks)
     covariance.flags.writeable = False
@@ -240,7 +241,7 @@ def _diameter(row: Row) -> float:
 
 def _instrument_error(row: Row) -> np.ndarray | None:
     block = _covariance(row, (_SD, _SD_PER_AXIS, _COVARIANCE))
-    if block is not None and np.linalg.eigvalsh(block)[0] <= 0:
+    if block is not None and not (np.isfinite(block).all() and np.linalg.eigvalsh(block)[0] > 0):
         raise row.error("state an error above zero in every direction; no instrument is exact")
     return block
 
