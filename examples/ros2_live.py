@@ -4,11 +4,13 @@ Needs ROS 2 (docs/live.md). A target that has not come for half a second no long
 """
 
 import sys
+from contextlib import suppress
 from time import monotonic
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from rclpy.executors import ExternalShutdownException
 
 HOLDS_S = 0.5
 newest: dict[str, tuple[float, object]] = {}  # by topic: when it came, and the message
@@ -33,4 +35,5 @@ node = rclpy.create_node("sightline_reader")
 node.create_subscription(PoseStamped, f"{(sys.argv[1:] or ['/sightline'])[0]}/target", keep("target"), 1)
 node.create_subscription(DiagnosticArray, "/diagnostics", keep("diagnostics"), 1)
 node.create_timer(HOLDS_S, show)
-rclpy.spin(node)
+with suppress(KeyboardInterrupt, ExternalShutdownException):
+    rclpy.spin(node)
