@@ -87,7 +87,7 @@ def test_localized_does_not_extrapolate():
     plane_map = fit_map(grid(), bent(grid()), "localized")
     with pytest.raises(OutsideRegionError, match="in no triangle"):
         plane_map.to_plane(np.array([[20.0, 20.0]]))
-    with pytest.raises(OutsideRegionError, match="in no triangle"):
+    with pytest.raises(OutsideRegionError, match="outside the region"):
         plane_map.to_image(np.array([[500.0, 500.0]]))
 
 

@@ -152,7 +152,7 @@ def test_an_open_hole_s_depth_is_a_number_and_its_zero_may_have_moved():
         robot.drill()
         assert robot.open_hole_mm == 30.0
         peer.open_hole_mm = np.nan
-        with pytest.raises(RobotRefusedError, match="the robot's arm/open_hole is not one depth in mm"):
+        with pytest.raises(RobotRefusedError, match="the robot's arm/open_hole is not a SENSOR of one finite number"):
             robot.aim(TARGET)
         peer.open_hole_mm = None
         told(robot)

@@ -20,12 +20,19 @@ from sightline.calibration.maps.hull import Hull
 from sightline.calibration.maps.polynomial import Affine
 from sightline.calibration.plates.classical import PlateName
 from sightline.calibration.plates.joint import JointFit
-from sightline.calibration.view import CalibratedView, Deferred, LinesOfSight, PlaneMap, Posterior, Residuals
+from sightline.calibration.view import (
+    CalibratedView,
+    Deferred,
+    LinesOfSight,
+    PlaneMap,
+    Posterior,
+    Residuals,
+    finite_pixels,
+)
 from sightline.common.checks import Check
 from sightline.common.geometry.planes import Plane
 from sightline.common.show import Plotted, checks_lines, counted, dataframe, numbers
 from sightline.detection.results import Observations
-from sightline.errors import UnusableInputError
 from sightline.frame import Fiducial, Frame
 
 if TYPE_CHECKING:
@@ -273,9 +280,7 @@ class BeadView(Plotted):
 
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
         """Return the lines of sight of pixels (N, 2). Raises OutsideRegionError, UnusableInputError."""
-        uv = np.asarray(uv_px, dtype=np.float64)
-        if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
-            raise UnusableInputError(f"give finite pixels of the shape (N, 2); got the shape {uv.shape}")
+        uv = finite_pixels(uv_px)
         self.hull.refuse_far(uv, self.name)
         errors = cache(lambda: self.posterior.line_errors(uv))
         xy, jacobian = self.plane_map.linearised(uv)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.calibration.view import Deferred, LineErrors, LinesOfSight, PlaneMap
+from sightline.calibration.view import Deferred, LineErrors, LinesOfSight, PlaneMap, finite_pixels
 from sightline.common.checks import Check
 from sightline.common.geometry.planes import Plane
 from sightline.common.show import Shown, checks_lines, numbers
@@ -111,9 +111,7 @@ class MatrixView(Shown):
 
         Raises UnusableInputError, OutsideRegionError.
         """
-        uv = np.asarray(uv_px, dtype=np.float64)
-        if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
-            raise UnusableInputError(f"give finite pixels of the shape (N, 2); got the shape {uv.shape}")
+        uv = finite_pixels(uv_px)
         xy, given = self.plane_map.to_plane(uv), self.covariance
         return LinesOfSight(
             view=self.name,

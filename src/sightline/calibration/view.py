@@ -10,7 +10,7 @@ import numpy as np
 from sightline.common.checks import Check
 from sightline.common.geometry.lines import unit
 from sightline.common.geometry.planes import Plane
-from sightline.errors import CalibrationRefusedError
+from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
 
 # Limits for the ratio of a bead's height above the reference plane to that of F [ours]; 0.16 on a Γ frame's source
 # plate. Beads as high as F have no image, and with none above the plane F is not determined.
@@ -100,6 +100,14 @@ def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:
 SOURCES = ("beads", "map", "focal_point", "frame")
 
 
+def finite_pixels(uv_px: np.ndarray) -> np.ndarray:
+    """Return pixels (N, 2) as float64. Raises UnusableInputError for another shape and values that are not finite."""
+    uv = np.asarray(uv_px, dtype=np.float64)
+    if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
+        raise UnusableInputError(f"give finite pixels of the shape (N, 2); got the shape {uv.shape}")
+    return uv
+
+
 class PlaneMap(Protocol):
     """A smooth map between an image (IDCS, px) and a plane (mm)."""
 
@@ -120,8 +128,16 @@ class PlaneMap(Protocol):
         ...
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError."""
-        ...
+        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError where there is none."""
+        target = np.asarray(xy_mm, dtype=np.float64)
+        uv, mapped = self.find_image(target)
+        if not mapped.all():
+            where = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in target[~mapped][:3])
+            raise OutsideRegionError(
+                f"{(~mapped).sum()} points lie outside the region the beads calibrate (plane coordinates {where} mm); "
+                "choose points inside the beads' convex hull, or move the frame"
+            )
+        return uv
 
 
 class Deferred(Mapping[str, np.ndarray]):

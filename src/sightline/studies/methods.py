@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 import cv2
 import numpy as np
@@ -76,37 +77,29 @@ def calibrated(scene: TargetScene, name: str = "smooth") -> list[BeadView]:
     return [sl.calibrate(scene.observations[view], scene.frame, method=method, degree=degree) for view in VIEWS]
 
 
-def ours(name: str) -> Method:
-    """Return a method of this package: `smooth` with the covariance-weighted point, the others, as in the paper, with
-    the point of nearest approach."""
+def ours(name: str, scene: TargetScene) -> Locate:
+    """Calibrate a scene by a method of this package: `smooth` with the covariance-weighted point, the others, as in the
+    paper, with the point of nearest approach."""
+    views = calibrated(scene, name)
+    how = "weighted" if name == "smooth" else "nearest"
 
-    def of(scene: TargetScene) -> Locate:
-        views = calibrated(scene, name)
-        how = "weighted" if name == "smooth" else "nearest"
+    def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
+        covariance = np.broadcast_to(pick_px**2 * np.eye(2), (2, uv_px.shape[1], 2, 2))
+        return sl.reconstruct(views, uv_px, covariance, how).xyz_mm
 
-        def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
-            covariance = np.broadcast_to(pick_px**2 * np.eye(2), (2, uv_px.shape[1], 2, 2))
-            return sl.reconstruct(views, uv_px, covariance, how).xyz_mm
-
-        return locate
-
-    return of
+    return locate
 
 
-def by_plates(fit: Fit) -> Method:
-    """Return the paper's method with another map: one map per plate, the focal point as the intersection of lines
-    through both, the point of nearest approach."""
+def by_plates(fit: Fit, scene: TargetScene) -> Locate:
+    """Calibrate a scene by the paper's method with another map: one map per plate, the focal point as the intersection
+    of lines through both, the point of nearest approach."""
+    views = [_plates(scene, name, fit) for name in VIEWS]
 
-    def of(scene: TargetScene) -> Locate:
-        views = [_plates(scene, name, fit) for name in VIEWS]
+    def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
+        lines = [(focal, through(uv) - focal) for (focal, through), uv in zip(views, uv_px, strict=True)]
+        return nearest_approach(*[end for line in lines for end in line]).middle_mm
 
-        def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
-            lines = [(focal, through(uv) - focal) for (focal, through), uv in zip(views, uv_px, strict=True)]
-            return nearest_approach(*[end for line in lines for end in line]).middle_mm
-
-        return locate
-
-    return of
+    return locate
 
 
 def _plates(scene: TargetScene, name: str, fit: Fit) -> tuple[np.ndarray, Predict]:
@@ -124,24 +117,20 @@ def _plates(scene: TargetScene, name: str, fit: Fit) -> tuple[np.ndarray, Predic
     return focal, lambda at: view.xrii.plane.to_space(maps[0](at))
 
 
-def opencv(parameters: int) -> Method:
-    """Return OpenCV's method: calibrateCamera with 0, 5 or 14 distortion parameters on all beads, then
+def opencv(parameters: int, scene: TargetScene) -> Locate:
+    """Calibrate a scene by OpenCV's method: calibrateCamera with 0, 5 or 14 distortion parameters on all beads, then
     triangulatePoints. 0: bundle adjustment of a pinhole."""
+    cameras = [_camera(scene, name, parameters) for name in VIEWS]
 
-    def of(scene: TargetScene) -> Locate:
-        cameras = [_camera(scene, name, parameters) for name in VIEWS]
+    def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
+        flat = [
+            cv2.undistortPoints(uv[:, None], camera, distortion)[:, 0].T
+            for (camera, distortion, _), uv in zip(cameras, uv_px, strict=True)
+        ]
+        homogeneous = cv2.triangulatePoints(cameras[0][2], cameras[1][2], *flat)
+        return (homogeneous[:3] / homogeneous[3]).T
 
-        def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
-            flat = [
-                cv2.undistortPoints(uv[:, None], camera, distortion)[:, 0].T
-                for (camera, distortion, _), uv in zip(cameras, uv_px, strict=True)
-            ]
-            homogeneous = cv2.triangulatePoints(cameras[0][2], cameras[1][2], *flat)
-            return (homogeneous[:3] / homogeneous[3]).T
-
-        return locate
-
-    return of
+    return locate
 
 
 def _camera(scene: TargetScene, name: str, parameters: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -166,12 +155,12 @@ def _camera(scene: TargetScene, name: str, parameters: int) -> tuple[np.ndarray,
 
 
 METHODS: dict[str, Method] = {
-    **{name: ours(name) for name in OURS},
-    "OpenCV 0": opencv(0),
-    "OpenCV 5": opencv(5),
-    "OpenCV 14": opencv(14),
-    "local weighted mean": by_plates(local_weighted_mean),
-    "thin-plate spline": by_plates(thin_plate_spline),
+    **{name: partial(ours, name) for name in OURS},
+    "OpenCV 0": partial(opencv, 0),
+    "OpenCV 5": partial(opencv, 5),
+    "OpenCV 14": partial(opencv, 14),
+    "local weighted mean": partial(by_plates, local_weighted_mean),
+    "thin-plate spline": partial(by_plates, thin_plate_spline),
 }
 
 

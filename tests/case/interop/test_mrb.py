@@ -10,8 +10,8 @@ import pytest
 from sightline.calibration.exchange.rtk import parsed_xml
 from sightline.case.interop import slicer
 from sightline.case.interop.formats import R_lps_cfcs
-from sightline.case.interop.models import tube
 from sightline.case.interop.plan_file import PlanFile
+from sightline.case.interop.slicer import tube
 from sightline.imaging.volumes.nrrd import read_nrrd
 
 SIDE = "left"

@@ -113,18 +113,6 @@ class LocalizedMap(PlaneMap):
         corners = self.controls_mm[self.triangulation.simplices[self.usable]]
         return np.linalg.inv(np.concatenate([np.swapaxes(corners, 1, 2), np.ones((len(corners), 1, 3))], axis=1))
 
-    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Return the pixels (N, 2) of plane coordinates (N, 2), by the same triangles. Raises OutsideRegionError."""
-        target = np.asarray(xy_mm, dtype=np.float64)
-        uv, mapped = self.find_image(target)
-        if not mapped.all():
-            point = target[~mapped][0]
-            raise OutsideRegionError(
-                f"the point ({point[0]:.1f}, {point[1]:.1f}) mm of the plate lies in no triangle of beads; "
-                "the localized method does not extrapolate: choose points inside the convex hull, or the smooth method"
-            )
-        return uv
-
 
 def _flatness(triangles: np.ndarray) -> np.ndarray:
     """Return (T,) height over longest side of triangles (T, 3, 2)."""

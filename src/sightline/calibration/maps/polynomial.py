@@ -9,7 +9,7 @@ import numpy as np
 from sightline.calibration.maps.hull import MAX_OUTSIDE
 from sightline.calibration.view import PlaneMap
 from sightline.common.fitting import exponents, minimum_norm, monomials, terms
-from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
+from sightline.errors import CalibrationRefusedError, UnusableInputError
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -24,21 +24,6 @@ class InvertibleMap(PlaneMap, Protocol):
     """A plane map with a derivative everywhere near its controls `controls_px` (M, 2), inverted by Newton's method."""
 
     controls_px: np.ndarray
-
-    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Return the pixels (N, 2) of plane coordinates (N, 2), mm.
-
-        Raises OutsideRegionError where there is none near the controls.
-        """
-        target = np.asarray(xy_mm, dtype=np.float64)
-        uv, mapped = self.find_image(target)
-        if not mapped.all():
-            where = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in target[~mapped][:3])
-            raise OutsideRegionError(
-                f"{(~mapped).sum()} points lie outside the region the beads calibrate (plane coordinates {where} mm); "
-                "choose points inside the beads' convex hull, or move the frame"
-            )
-        return uv
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (M, 2) of the points (N, 2) that have one near the controls, and which do, (N,) bool.

@@ -16,13 +16,15 @@ import numpy as np
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.interop.formats import T_cfcs_wire, T_lps_cfcs, transform_bytes
-from sightline.case.interop.models import frustum, model_bytes, tube
 from sightline.case.interop.plan_file import PlanFile
 from sightline.common.geometry.lines import unit
 from sightline.imaging.volumes.nrrd import nrrd_bytes
 
 RAS_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _SLICES = ("Red", "Yellow", "Green")
+Surface = tuple[np.ndarray, list[list[int]]]  # vertices (N, 3), and each face's vertices, anticlockwise from outside
+_SIDES = 32  # [ours] of the tube: its edges lie 0.5 % outside the circles
+_MAX_TITLE = 255  # VTK's file formats: the second line has at most 256 characters with its end
 
 
 def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
@@ -57,10 +59,43 @@ def write_bundle(plan: PlanFile, side: str | None) -> dict[str, bytes]:
 
 def _models(plan: PlanFile, rotation: np.ndarray, description: str) -> dict[str, bytes]:
     """Return the frustum of each view, and the tube where the errors are known."""
-    models = {f"{view}-frustum.vtk": frustum(*_outline(pinhole)) for view, pinhole in plan.plates.items()}
+    models = {f"{view}-frustum.vtk": _frustum(*_outline(pinhole)) for view, pinhole in plan.plates.items()}
     if plan.errors_95_mm is not None:
         models["tube-95.vtk"] = tube(plan.points_mm, plan.errors_95_mm)
-    return {name: model_bytes(places @ rotation.T, faces, description) for name, (places, faces) in models.items()}
+    return {name: _model_bytes(places @ rotation.T, faces, description) for name, (places, faces) in models.items()}
+
+
+def _frustum(source_mm: np.ndarray, corners_mm: np.ndarray) -> Surface:
+    """Return the four sides of the pyramid from the X-ray source (3,) to the corners (4, 3) of an image."""
+    return np.vstack([source_mm, corners_mm]), [[0, 1 + (k + 1) % 4, 1 + k] for k in range(4)]
+
+
+def tube(points_mm: np.ndarray, radii_mm: tuple[float, float]) -> Surface:
+    """Return the closed tube between two points (2, 3) that holds a circle of a given radius about each.
+
+    Its sides touch the circles from outside, so that it is nowhere narrower than they are.
+    """
+    angles = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    ring = np.column_stack([np.cos(angles), np.sin(angles)]) / np.cos(np.pi / _SIDES)
+    across = T_cfcs_wire(points_mm)[:3, :2]
+    places = np.vstack([point + radius * ring @ across.T for point, radius in zip(points_mm, radii_mm, strict=True)])
+    sides = [[k, (k + 1) % _SIDES, _SIDES + (k + 1) % _SIDES, _SIDES + k] for k in range(_SIDES)]
+    return places, [*sides, list(range(_SIDES))[::-1], list(range(_SIDES, 2 * _SIDES))]
+
+
+def _model_bytes(places_lps_mm: np.ndarray, faces: list[list[int]], statement: str) -> bytes:
+    """Return a surface as a `.vtk` file; its title states the axes, as 3D Slicer writes them, and the statement."""
+    lines = [
+        "# vtk DataFile Version 3.0",
+        f"SPACE=LPS; mm; {statement}"[:_MAX_TITLE],
+        "ASCII",
+        "DATASET POLYDATA",
+        f"POINTS {len(places_lps_mm)} double",
+        *(" ".join(repr(float(x) + 0.0) for x in place) for place in places_lps_mm),
+        f"POLYGONS {len(faces)} {sum(map(len, faces)) + len(faces)}",
+        *(" ".join(map(str, (len(face), *face))) for face in faces),
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii", "replace")
 
 
 def _markups(plan: PlanFile, rotation: np.ndarray, description: str) -> dict[str, bytes]:

@@ -22,6 +22,7 @@ from sightline.robot.link.exchange import (
     StopChannel,
     WireDeviation,
     matrix_of,
+    number_of,
     pose_of,
     refuse_other_pose,
 )
@@ -125,7 +126,7 @@ class RobotClient(Exchange, Closing):
             reached = pose_of(reachable or echo)
             WireDeviation.of(reached, T_cfcs_wire).refuse_large("the robot would lay the wire")
             if (hole := self.latest.get(contract.OPEN_HOLE_DEPTH)) is not None:  # comes before REACHABLE_TARGET
-                self.open_hole_mm = _depth_of(hole)
+                self.open_hole_mm = number_of(hole)
         self._target = T_cfcs_wire
         said_mm = {} if metadata is None else metadata
         self._length_mm = float(said_mm[contract.LENGTH_MM]) if contract.LENGTH_MM in said_mm else None
@@ -277,14 +278,6 @@ class RobotClient(Exchange, Closing):
     def _refuse_doubted(self) -> None:
         for why in self._doubts.values():
             raise RobotRefusedError(f"nothing may move: {why}")
-
-
-def _depth_of(message: Message) -> float:
-    """Return the depth in a SENSOR, mm. Raises RobotRefusedError if it has none."""
-    body = message.body
-    if not isinstance(body, Sensor) or body.values.shape != (1,) or not np.isfinite(body.values).all():
-        raise RobotRefusedError(f"the robot's {message.device_name} is not one depth in mm")
-    return float(body.values[0])
 
 
 def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> dict[str, str]:

@@ -16,7 +16,18 @@ from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S, Code
 from sightline.robot.control.states import Trigger
-from sightline.robot.igtl import Body, Capability, Command, CommandReply, Get, Message, Status, String, Transform
+from sightline.robot.igtl import (
+    Body,
+    Capability,
+    Command,
+    CommandReply,
+    Get,
+    Message,
+    Sensor,
+    Status,
+    String,
+    Transform,
+)
 from sightline.robot.link.shared_connection import Mailbox, SharedConnection
 
 # Robots of 2013 send no STATUS for these phases; their CURRENT_STATUS says that the phase was entered.
@@ -224,6 +235,14 @@ def pose_of(message: Message) -> RigidTransform:
     if not isinstance(body, Transform) or fault is not None:
         raise RobotRefusedError(f"the robot's {message.device_name} is not a pose: {fault}")
     return body.rigid()
+
+
+def number_of(message: Message) -> float:
+    """Return the finite number in a SENSOR. Raises RobotRefusedError if the message is not one number."""
+    body = message.body
+    if not isinstance(body, Sensor) or body.values.shape != (1,) or not np.isfinite(body.values).all():
+        raise RobotRefusedError(f"the robot's {message.device_name} is not a SENSOR of one finite number")
+    return float(body.values[0])
 
 
 def matrix_of(echo: Message) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Questions about messages, commands, stops and several clients."""
 
+from collections.abc import Iterable
+from functools import partial
 from time import monotonic
 
 import numpy as np
@@ -103,21 +105,17 @@ def _refuses_a_used_identifier(talk: Conversation) -> str:
     return text
 
 
-def _refuses_a_shot(*texts: str) -> Question:
-    """Return the question whether these depths of a shot are refused. In START_UP all are, so nothing has to move."""
-
-    def question(talk: Conversation) -> str:
-        talk.require(contract.HAS_DRILLING)
-        talk.bring("START_UP")
-        for text in texts:
-            try:
-                talk.robot.order(contract.SHOT_DEPTH, text)
-            except RobotRefusedError:
-                continue
-            raise RobotRefusedError(f"{contract.SHOT_DEPTH} of {text!r} was taken in START_UP")
-        return "refused"
-
-    return question
+def _refuses_a_shot(texts: Iterable[str], talk: Conversation) -> str:
+    """Ask whether these depths of a shot are refused. In START_UP all are, so nothing has to move."""
+    talk.require(contract.HAS_DRILLING)
+    talk.bring("START_UP")
+    for text in texts:
+        try:
+            talk.robot.order(contract.SHOT_DEPTH, text)
+        except RobotRefusedError:
+            continue
+        raise RobotRefusedError(f"{contract.SHOT_DEPTH} of {text!r} was taken in START_UP")
+    return "refused"
 
 
 COMMANDS: dict[str, Question] = {
@@ -131,8 +129,8 @@ COMMANDS: dict[str, Question] = {
     "MOVE_TO_TARGET without target: 13": _no_motion_without_target,
     "a repeated command acts once": _acts_once,
     "an identifier used for another command: 10": _refuses_a_used_identifier,
-    "SHOT_DEPTH outside PAUSED is refused": _refuses_a_shot("30 0.2"),
-    "SHOT_DEPTH of NaN is refused": _refuses_a_shot("nan", "nan 0.2", "30 nan", "inf", "30 inf"),
+    "SHOT_DEPTH outside PAUSED is refused": partial(_refuses_a_shot, ["30 0.2"]),
+    "SHOT_DEPTH of NaN is refused": partial(_refuses_a_shot, ["nan", "nan 0.2", "30 nan", "inf", "30 inf"]),
 }
 
 
@@ -148,40 +146,28 @@ def _obeys_no_wrong_crc(talk: Conversation) -> str:
     return "the phase stays"
 
 
-def _survives(data: bytes) -> Question:
-    def question(talk: Conversation) -> str:
-        talk.bring("START_UP")
-        talk.robot.connection.send_bytes(data)
-        expect(talk.command("PLANNING").status_s is not None, "no answer afterwards")
-        return "answers afterwards"
-
-    return question
+def _survives(data: bytes, talk: Conversation) -> str:
+    talk.bring("START_UP")
+    talk.robot.connection.send_bytes(data)
+    expect(talk.command("PLANNING").status_s is not None, "no answer afterwards")
+    return "answers afterwards"
 
 
-def _reads(message: bytes, piece: int = 1000) -> Question:
-    """Return the question whether START_UP is read in another form, in pieces of `piece` bytes."""
-
-    def question(talk: Conversation) -> str:
-        talk.bring("START_UP", "PLANNING")
-        pieces = [message[k : k + piece] for k in range(0, len(message), piece)]
-        answer = talk.exchange(lambda: talk.robot.connection.send_bytes(*pieces), "77", "START_UP")
-        return expect_code(answer, Code.OK)
-
-    return question
+def _reads(message: bytes, talk: Conversation, piece: int = 1000) -> str:
+    """Ask whether START_UP is read in another form, in pieces of `piece` bytes."""
+    talk.bring("START_UP", "PLANNING")
+    pieces = [message[k : k + piece] for k in range(0, len(message), piece)]
+    answer = talk.exchange(lambda: talk.robot.connection.send_bytes(*pieces), "77", "START_UP")
+    return expect_code(answer, Code.OK)
 
 
-def _reads_pieces(message: bytes) -> Question:
-    """Return the same question byte by byte, over a connection without heartbeats between the bytes."""
-    reads = _reads(message, piece=1)
-
-    def question(talk: Conversation) -> str:
-        if contract.HAS_HEARTBEAT not in talk.robot.capabilities:
-            return reads(talk)
-        talk.robot.close()
-        with talk.second() as quiet:
-            return reads(quiet)
-
-    return question
+def _reads_pieces(message: bytes, talk: Conversation) -> str:
+    """Ask the same byte by byte, over a connection without heartbeats between the bytes."""
+    if contract.HAS_HEARTBEAT not in talk.robot.capabilities:
+        return _reads(message, talk, piece=1)
+    talk.robot.close()
+    with talk.second() as quiet:
+        return _reads(message, quiet, piece=1)
 
 
 def _altered(data: bytes) -> bytes:
@@ -196,10 +182,10 @@ _START_2 = Message(String("START_UP"), f"{contract.COMMAND}77", version=2, metad
 
 MESSAGES: dict[str, Question] = {
     "a command with a wrong CRC is not obeyed": _obeys_no_wrong_crc,
-    "survives a wrong CRC": _survives(_altered(encode(_STATE))),
-    "survives an unknown type": _survives(encode(_STATE).replace(b"STRING\0", b"NOVELTY", 1)),
-    "reads a message in pieces": _reads_pieces(encode(_START)),
-    "reads header version 2": _reads(encode(_START_2)),
+    "survives a wrong CRC": partial(_survives, _altered(encode(_STATE))),
+    "survives an unknown type": partial(_survives, encode(_STATE).replace(b"STRING\0", b"NOVELTY", 1)),
+    "reads a message in pieces": partial(_reads_pieces, encode(_START)),
+    "reads header version 2": partial(_reads, encode(_START_2)),
 }
 
 

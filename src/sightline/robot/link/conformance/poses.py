@@ -2,6 +2,7 @@
 connections, and end at its target?"""
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from time import sleep
 
 import numpy as np
@@ -11,7 +12,6 @@ from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.control.insertion import BARE_LENGTH_MM
-from sightline.robot.igtl import Message, Sensor
 from sightline.robot.link.client import MOTION_S
 from sightline.robot.link.conformance.conversation import (
     IDENTIFIERS,
@@ -29,7 +29,7 @@ from sightline.robot.link.conformance.conversation import (
     target_in_air,
     verified_target,
 )
-from sightline.robot.link.exchange import TIP_LIMIT_MM, WireDeviation, pose_of
+from sightline.robot.link.exchange import TIP_LIMIT_MM, WireDeviation, number_of, pose_of
 
 
 def _takes_a_registration(talk: Conversation) -> str:
@@ -43,45 +43,32 @@ def _echoes_a_registration(talk: Conversation) -> str:
     return expect_echo(talk.pose(contract.CALIBRATION, sent), sent, "registration")
 
 
-def _no_registration(matrix: np.ndarray) -> Question:
-    def question(talk: Conversation) -> str:
-        talk.bring("START_UP", "CALIBRATION")
-        return expect_code(talk.pose(contract.CALIBRATION, matrix), Code.CONFIGURATION)
-
-    return question
+def _no_registration(matrix: np.ndarray, talk: Conversation) -> str:
+    talk.bring("START_UP", "CALIBRATION")
+    return expect_code(talk.pose(contract.CALIBRATION, matrix), Code.CONFIGURATION)
 
 
-def _no_target(change: Callable[[np.ndarray], np.ndarray]) -> Question:
-    """Return the question whether a target with one fault is refused; without the fault it was accepted."""
-
-    def question(talk: Conversation) -> str:
-        good, _ = target_in_air(talk)
-        talk.bring("TARGETING")
-        return expect_code(talk.pose(contract.TARGET, change(good)), Code.CONFIGURATION)
-
-    return question
+def _no_target(change: Callable[[np.ndarray], np.ndarray], talk: Conversation) -> str:
+    """Ask whether a target with one fault is refused; without the fault it was accepted."""
+    good, _ = target_in_air(talk)
+    talk.bring("TARGETING")
+    return expect_code(talk.pose(contract.TARGET, change(good)), Code.CONFIGURATION)
 
 
-def _not_here(**metadata: str) -> Question:
-    """Return the question whether metadata are refused, for a pose that was accepted without them."""
-
-    def question(talk: Conversation) -> str:
-        talk.require(contract.HAS_PLAN)
-        good, _ = target_in_air(talk)
-        talk.bring("TARGETING")
-        return expect_code(talk.pose(contract.TARGET, good, metadata), Code.CONFIGURATION)
-
-    return question
+def _not_here(talk: Conversation, **metadata: str) -> str:
+    """Ask whether metadata are refused, for a pose that was accepted without them."""
+    talk.require(contract.HAS_PLAN)
+    good, _ = target_in_air(talk)
+    talk.bring("TARGETING")
+    return expect_code(talk.pose(contract.TARGET, good, metadata), Code.CONFIGURATION)
 
 
-def _no_plan(*faults: dict[str, str]) -> Question:
-    """Return the question whether a plan with one of these faults is refused; without it, it was accepted. A fault is
-    what the metadata say instead, "" where they leave it out."""
+def _no_plan(faults: Iterable[dict[str, str]], talk: Conversation) -> str:
+    """Ask whether a plan with one of these faults is refused; without it, it was accepted.
 
-    def question(talk: Conversation) -> str:
-        return _refused_plans(talk, *accepted_plan(talk), faults)
-
-    return question
+    A fault is what the metadata say instead, "" where they leave it out.
+    """
+    return _refused_plans(talk, *accepted_plan(talk), faults)
 
 
 def _other_side(talk: Conversation) -> str:
@@ -104,13 +91,13 @@ def _refused_plans(talk: Conversation, good: np.ndarray, plan: dict[str, str], f
 
 def _registration_in_metres(talk: Conversation) -> str:
     talk.require(contract.HAS_PLAN)
-    return _no_registration(_moved(_GENERAL, 1e-3 * _GENERAL[:3, 3]))(talk)
+    return _no_registration(_moved(_GENERAL, 1e-3 * _GENERAL[:3, 3]), talk)
 
 
 def _in_metres(talk: Conversation) -> str:
     """Ask whether a target in metres is refused; robots of the 2013 convention cannot detect it."""
     talk.require(contract.HAS_PLAN)
-    return _no_target(lambda good: _moved(good, 1e-3 * good[:3, 3]))(talk)
+    return _no_target(lambda good: _moved(good, 1e-3 * good[:3, 3]), talk)
 
 
 def _keeps_its_first_validity(talk: Conversation) -> str:
@@ -164,28 +151,31 @@ def _limits(key: str, *values: float | str) -> list[dict[str, str]]:
 QUESTIONS: dict[str, Question] = {
     "takes a registration": _takes_a_registration,
     "ACK echoes a registration": _echoes_a_registration,
-    "registration that is no rotation: 10": _no_registration(_scaled(_GENERAL)),
-    "registration of NaN: 10": _no_registration(_moved(_GENERAL, _NAN)),
+    "registration that is no rotation: 10": partial(_no_registration, _scaled(_GENERAL)),
+    "registration of NaN: 10": partial(_no_registration, _moved(_GENERAL, _NAN)),
     "registration in metres: 10": _registration_in_metres,
     "ACK echoes a target": _echoes_a_target,
     "REACHABLE_TARGET is the target": _reaches_what_it_takes,
-    "target that is no rotation: 10": _no_target(_scaled),
-    "target of NaN: 10": _no_target(lambda good: _moved(good, _NAN)),
-    "target out of reach: 10": _no_target(lambda good: _moved(good, good[:3, 3] + 5000.0)),
+    "target that is no rotation: 10": partial(_no_target, _scaled),
+    "target of NaN: 10": partial(_no_target, lambda good: _moved(good, _NAN)),
+    "target out of reach: 10": partial(_no_target, lambda good: _moved(good, good[:3, 3] + 5000.0)),
     "target in metres: 10": _in_metres,
-    "target in another frame: 10": _not_here(coordinates="RAS"),
-    "target in another unit: 10": _not_here(units="m"),
-    "plan that is NO-GO: 10": _no_plan({contract.GO: contract.NO}),
-    "plan that leaves out a key: 10": _no_plan(*({key: ""} for key in contract.PLAN_KEYS if key != contract.PLAN)),
-    "plan of the other side: 10": _other_side,
-    "plan of another frame: 10": _no_plan({contract.FRAME_SERIAL: "conformance test"}),
-    "plan that has expired: 10": _no_plan(*_limits(contract.VALID_S, 0, -1)),
-    "plan that is sent again after it expired: 10": _keeps_its_first_validity,
-    "plan that is valid too long: 10": _no_plan(*_limits(contract.VALID_S, 601, "inf", "nan")),
-    "plan without a depth limit: 10": _no_plan(
-        *_limits(contract.DEPTH_LIMIT_MM, BARE_LENGTH_MM - 1, BARE_LENGTH_MM, BARE_LENGTH_MM + 31, "inf", "nan")
+    "target in another frame: 10": partial(_not_here, coordinates="RAS"),
+    "target in another unit: 10": partial(_not_here, units="m"),
+    "plan that is NO-GO: 10": partial(_no_plan, [{contract.GO: contract.NO}]),
+    "plan that leaves out a key: 10": partial(
+        _no_plan, [{key: ""} for key in contract.PLAN_KEYS if key != contract.PLAN]
     ),
-    "plan whose depth is no number: 10": _no_plan(*_limits(contract.LENGTH_MM, "nan", "inf", "deep")),
+    "plan of the other side: 10": _other_side,
+    "plan of another frame: 10": partial(_no_plan, [{contract.FRAME_SERIAL: "conformance test"}]),
+    "plan that has expired: 10": partial(_no_plan, _limits(contract.VALID_S, 0, -1)),
+    "plan that is sent again after it expired: 10": _keeps_its_first_validity,
+    "plan that is valid too long: 10": partial(_no_plan, _limits(contract.VALID_S, 601, "inf", "nan")),
+    "plan without a depth limit: 10": partial(
+        _no_plan,
+        _limits(contract.DEPTH_LIMIT_MM, BARE_LENGTH_MM - 1, BARE_LENGTH_MM, BARE_LENGTH_MM + 31, "inf", "nan"),
+    ),
+    "plan whose depth is no number: 10": partial(_no_plan, _limits(contract.LENGTH_MM, "nan", "inf", "deep")),
 }
 
 
@@ -272,15 +262,11 @@ def _moves_nothing_refused(talk: Conversation) -> str:
     return talk.refused("MOVE_TO_TARGET", Code.NOT_READY)
 
 
-def _begins_nothing_unaligned(name: str) -> Question:
-    """Return the question whether a robot that has a target, but is not aligned with it, refuses an activity."""
-
-    def question(talk: Conversation) -> str:
-        talk.require(contract.HAS_DRILLING)
-        verified_target(talk)
-        return talk.refused(name, Code.NOT_READY)
-
-    return question
+def _begins_nothing_unaligned(name: str, talk: Conversation) -> str:
+    """Ask whether a robot that has a target, but is not aligned with it, refuses an activity."""
+    talk.require(contract.HAS_DRILLING)
+    verified_target(talk)
+    return talk.refused(name, Code.NOT_READY)
 
 
 def _drills_nothing_unwatched(talk: Conversation) -> str:
@@ -315,21 +301,13 @@ def _states_its_depth(talk: Conversation) -> str:
         raise UnsupportedError(f"announces {contract.HAS_GUIDE}: a person drills, and it knows no depth")
     talk.require(contract.HAS_TELEMETRY)
     target = _aligned(talk)
-    depth_mm, sd_mm = (_value(talk.robot.connection.fresh(name)) for name in (contract.DEPTH, contract.DEPTH_SD))
+    depth_mm, sd_mm = (number_of(talk.robot.connection.fresh(name)) for name in (contract.DEPTH, contract.DEPTH_SD))
     off = WireDeviation.of(talk.robot.position(), RigidTransform.from_matrix(target))
     talk.command("STOP")
     there_mm = BARE_LENGTH_MM + off.along_mm
     seen = f"{contract.DEPTH} {depth_mm:.2f} mm, s.d. {sd_mm:.2f} mm; by the pose {there_mm:.2f} mm"
     expect(abs(depth_mm - there_mm) <= TIP_LIMIT_MM and 0 < sd_mm < np.inf, seen)
     return seen
-
-
-def _value(message: Message) -> float:
-    """Return the number in a SENSOR. Raises RobotRefusedError."""
-    body = message.body
-    if not (isinstance(body, Sensor) and body.values.shape == (1,)):
-        raise RobotRefusedError(f"{message.device_name} is not a SENSOR of one number")
-    return float(body.values[0])
 
 
 def _aligns(talk: Conversation) -> str:
@@ -354,8 +332,8 @@ MOTIONS: dict[str, Question] = {
     "dry run: MOVE_TO_TARGET in MANUAL: 14 or 13": _moves_nothing_in_manual,
     "dry run: MOVE_TO_TARGET by an expired plan: 10": _moves_nothing_expired,
     "dry run: MOVE_TO_TARGET after a refused target: 13": _moves_nothing_refused,
-    "dry run: DRILL without alignment: 13": _begins_nothing_unaligned("DRILL"),
-    "dry run: GUIDE without alignment: 13": _begins_nothing_unaligned("GUIDE"),
+    "dry run: DRILL without alignment: 13": partial(_begins_nothing_unaligned, "DRILL"),
+    "dry run: GUIDE without alignment: 13": partial(_begins_nothing_unaligned, "GUIDE"),
     "dry run: DRILL without heartbeats: 13": _drills_nothing_unwatched,
     "dry run: holds still when aligned": _holds_still,
     "dry run: states its depth": _states_its_depth,
