@@ -132,8 +132,8 @@ def video(
         raise typer.BadParameter("a multi-frame file cannot be cropped; leave it out", param_hint="--crop")
     at = int(place) if place.isdigit() else place
     source = Run(Path(place)) if is_run else VideoSource(at, crop=part, tell=output.note)
-    told = {"crop": part} if part else {}
-    keep = partial(take_frames, field=field, interlaced=not is_run, how=told)
+    settings = {"crop": part} if part else {}
+    keep = partial(take_frames, field=field, interlaced=not is_run, how=settings)
     _take(output, into, source, (skip + 1, average), keep)
 
 

@@ -377,8 +377,10 @@ class Output:
                 self.say(f"{'pass' if check.passed else 'FAIL'} {check.name}: {figures}{check.sentence}")
         elif checks:
             self.failures(checks)
-            told = [(check.name, check.sentence.removeprefix(f"{check.view}: ")) for check in checks if check.informs]
-            for name, sentence in dict.fromkeys(told):  # once where both views say it
+            sentences = [
+                (check.name, check.sentence.removeprefix(f"{check.view}: ")) for check in checks if check.informs
+            ]
+            for name, sentence in dict.fromkeys(sentences):  # once where both views say it
                 self.say(f"note {name}: {sentence}")
             passed = len(checks) - len(failed(checks))
             of_all = "" if passed == len(checks) else f"of {len(checks)} "

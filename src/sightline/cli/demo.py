@@ -455,10 +455,10 @@ def _show(
         ]
         output.table(f"Error against the truth, {how}", ("method", "entry mm", "tip mm", "direction °"), rows)
     for wire in inserted.values():
-        told, name = section(wire.drilled) or {}, wire.planned.plan.kind.wire.name if len(inserted) > 1 else "wire"
-        output.table(f"The drilled {name}", ("", "entry mm", "tip mm", "direction °"), told["rows"])
-        events = f"The robot detected: {told['events']}. " if told["events"] else ""
-        output.say(f"{events}{told['check']}")
+        drilled, name = section(wire.drilled) or {}, wire.planned.plan.kind.wire.name if len(inserted) > 1 else "wire"
+        output.table(f"The drilled {name}", ("", "entry mm", "tip mm", "direction °"), drilled["rows"])
+        events = f"The robot detected: {drilled['events']}. " if drilled["events"] else ""
+        output.say(f"{events}{drilled['check']}")
     if planned.wires is None:
         return ()
     relations = judge_measured(planned.wires, _measured(inserted), planned.plan.side).checks

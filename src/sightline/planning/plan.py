@@ -157,7 +157,7 @@ class Plan(Plotted):
             rules, marks = rules_of_bone(self.kind, self.views), _landmarks_mm(self.landmark_names, self.seen)
             axes += left_out(self.anatomy, rules, self.side, marks)
             lying = Located(self.kind, self.views, self.anatomy, self.landmark_names, self.side)
-            axes += [said for said in [lying.unknown_directions] if said not in self.verdict.missing]
+            axes += [name for name in [lying.unknown_directions] if name not in self.verdict.missing]
         sentences = [*pair, *self._alone(), *([] if fits is None else [fits.sentence])]
         if self.hole is not None:
             sentences += [self.hole.sentence, *(turn.sentence for turn in perfect_circles(self.hole, self.views))]

@@ -120,4 +120,4 @@ def write_samples(folder: Path, seed: int) -> list[Path]:
         "images.json": {**listed, "images": images},
         "by-images.json": {**head, "arm": "six-axis", "frame": {"mount": "mount.json"}, "wire": guide},
     }
-    return [write_whole(folder / name, json.dumps(said, indent=1).encode()) for name, said in files.items()]
+    return [write_whole(folder / name, json.dumps(content, indent=1).encode()) for name, content in files.items()]

@@ -134,14 +134,14 @@ class SetUpWith:
     def __init__(self, rng: np.random.Generator, drawn: Tolerances, bead_px: float, *, bead_noise: bool) -> None:
         own = deepcopy(rng)
         setup = draw_setup(own, replace(Frame.load("gamma"), tolerances=drawn))
-        told = replace(setup, frame=replace(setup.frame, tolerances=WHOLE))
+        toleranced = replace(setup, frame=replace(setup.frame, tolerances=WHOLE))
         observations = {}
         for name in VIEWS:
             ids, exact = bead_images(setup, name, own, sd_px=0.0)
             noise = bead_px * own.standard_normal(exact.shape)
             stated = np.broadcast_to(bead_px**2 * np.eye(2), (len(ids), 2, 2))
             observations[name] = Observations(name, ids, exact + noise if bead_noise else exact, stated)
-        self.scene = TargetScene.of(told, observations, TEST_BALLS_MM)
+        self.scene = TargetScene.of(toleranced, observations, TEST_BALLS_MM)
         self.views = calibrated(self.scene)
 
     def points(self, pick_px: float, noise: np.ndarray | float = 0.0) -> SpacePoints:

@@ -53,8 +53,8 @@ class Coverage:
         """Return the groups of one target, and for each method the stated and the actual error; None: refused."""
         bead = self.beads_px[rng.integers(len(self.beads_px))]
         frame, picks, chain = (each[rng.integers(len(each))] for each in (self.frames, self.picks, self.chains))
-        told = replace(Frame.load("gamma"), tolerances=FRAMES[frame])
-        scene = draw_scene(rng, told, bead, targets=1, reach_mm=FAR_MM, uneven=UNEVEN, chain=chain)
+        toleranced = replace(Frame.load("gamma"), tolerances=FRAMES[frame])
+        scene = draw_scene(rng, toleranced, bead, targets=1, reach_mm=FAR_MM, uneven=UNEVEN, chain=chain)
         noise = rng.standard_normal((2, 2))
         groups = [f"beads {bead:g} px", frame, picks, f"chain {chain}"]
         return {"groups": groups, **{method: outcome(scene, noise, picks, method) for method in self.methods}}
@@ -175,11 +175,11 @@ def _findings(
             f"{whole.normalised.value:.2f} (1 is right); it refuses {none.value:.1%}."
         )
         off = [f"{group} {level}" for group in groups for level in held[method, group].misses()]
-        told = f" ({', '.join(off)})" if len(off) <= MAX_NAMED else ""
+        named = f" ({', '.join(off)})" if len(off) <= MAX_NAMED else ""
         number = len(LEVELS) * len(groups)
         yield (
-            f"{method}: {len(off)} of {number} shares by group exclude what was stated from their 95 % interval{told}; "
-            f"chance alone would make that about {number * 0.05:.0f}."
+            f"{method}: {len(off)} of {number} shares by group exclude the stated one from their 95 % interval{named};"
+            f" chance alone would make that about {number * 0.05:.0f}."
         )
 
 

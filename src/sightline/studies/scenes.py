@@ -138,14 +138,16 @@ def _radii_px(setup: SetUp, name: str, ids: tuple[str, ...]) -> np.ndarray:
     return shadow_radius_px(setup.views[name], xyz, diameter / 2)
 
 
-def calibrated_views(setup: SetUp, seen: Mapping[str, Observations], told: Frame | None = None) -> list[CalibratedView]:
-    """Calibrate all views of a set-up, those of a solid together. `told`: the frame as it is known, by default the
+def calibrated_views(
+    setup: SetUp, seen: Mapping[str, Observations], frame: Frame | None = None
+) -> list[CalibratedView]:
+    """Calibrate all views of a set-up, those of a solid together. `frame`: the frame as it is known, by default the
     nominal one. Raises what `calibrate` raises."""
-    told = told or setup.frame
-    if told.solid is None:
-        return [sl.calibrate(observed, told) for observed in seen.values()]
+    frame = frame or setup.frame
+    if frame.solid is None:
+        return [sl.calibrate(observed, frame) for observed in seen.values()]
     arms = [CArm(view.chain.sdd_mm, view.chain.pitch_mm) for view in setup.views.values()]
-    return list(calibrate_together(list(seen.values()), told, arms))
+    return list(calibrate_together(list(seen.values()), frame, arms))
 
 
 def _plate_hulls(setup: SetUp, name: str, seen: Observations) -> list[Delaunay]:

@@ -32,13 +32,13 @@ def build(tab: Tab, site: ServedApp) -> None:
 
     Section(tab, _is_here, _title)
     zone = DropZone(site.uploads, {_FILES: take}, types=_TYPES)
-    told: bool | None = None
+    taking: bool | None = None
 
     def show() -> None:
-        nonlocal told
+        nonlocal taking
         takes = _is_here(tab) and tab.session.bone.shown is None and not tab.session.jobs.working
-        if takes != told:
-            told = takes
+        if takes != taking:
+            taking = takes
             zone.tell({_FILES: "here"} if takes else {}, {}, {})
 
     tab.on_refresh.append(show)
@@ -87,11 +87,11 @@ def _status(tab: Tab) -> None:
 
 def _running(work: str, began: float) -> None:
     """Build the progress: a registration's end is not known, so it states the time since its start."""
-    said = ui.label().classes("note").props("data-testid=bone-working")
+    progress = ui.label().classes("note").props("data-testid=bone-working")
     ui.linear_progress(show_value=False).props("indeterminate")
 
     def tell() -> None:
-        said.set_text(f"{texts.in_progress(work)} {monotonic() - began:.0f} s")
+        progress.set_text(f"{texts.in_progress(work)} {monotonic() - began:.0f} s")
 
     tell()
     ui.timer(1.0, tell)
@@ -127,8 +127,8 @@ def _row(tab: Tab, spec: MarkSpec) -> None:
 def _result(tab: Tab, shown: FoundBone) -> None:
     bone, wrong = tab.session.bone, failed(shown.judged)
     note(f"Bone found: {shown.error}.", kind="bad" if wrong else "good", testid="bone-found")
-    told = texts.sentence(wrong[0]) if wrong else f"All {len(shown.judged)} checks passed"
-    note(told, kind="bad" if wrong else "good", testid="bone-judged")
+    sentence = texts.sentence(wrong[0]) if wrong else f"All {len(shown.judged)} checks passed"
+    note(sentence, kind="bad" if wrong else "good", testid="bone-judged")
     if bone.found is None:
         note("Accepted: its checks are part of the verdict.", kind="quiet", testid="bone-accepted")
         action("Remove", tab.doing(bone.discard), testid="bone-remove")

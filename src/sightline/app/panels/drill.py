@@ -49,12 +49,12 @@ _RETRACTABLE = tuple(state.value for state in (State.DONE, State.STOP, State.ALI
 def key(tab: Tab) -> Hashable:
     """Key of the robot's state, of the plan that was sent, and of whether the current one may be."""
     now = tab.session.drilling.now
-    told = () if now is None else (now.state, now.fault, now.activity, now.last_error, now.lost, now.zero)
+    robot = () if now is None else (now.state, now.fault, now.activity, now.last_error, now.lost, now.zero)
     planning, decisions = tab.planning, tab.planning.decisions
     plan = (planning.planned, decisions.side, decisions.serial, tab.session.readiness.can_send)
     held = (tab.session.drilling.held, tab.session.drilling.changed, decisions.kind)
     held = (*held, tab.session.shots.objection)
-    return (told, held, planning.drilled, planning.sent_is_current, plan, tab.session.jobs.working)
+    return (robot, held, planning.drilled, planning.sent_is_current, plan, tab.session.jobs.working)
 
 
 def _shot_key(tab: Tab) -> Hashable:
@@ -62,8 +62,8 @@ def _shot_key(tab: Tab) -> Hashable:
     now = tab.session.drilling.now
     if now is None or now.lost:
         return None
-    told = (now.state == State.PAUSED.value, now.zero, now.activity, tab.session.drilling.changed)
-    return (*told, tab.session.shots.on_patient)
+    robot = (now.state == State.PAUSED.value, now.zero, now.activity, tab.session.drilling.changed)
+    return (*robot, tab.session.shots.on_patient)
 
 
 def build(tab: Tab) -> None:

@@ -51,16 +51,16 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
     slots = {name: texts.DROP_LABELS[name] for name in tab.planning.slots}
     taken_in = {label: boxes[name != NAMES[0]] for name, label in slots.items()}
     zone = DropZone(site.uploads, {label: taker(name) for name, label in slots.items()}, taken_in)
-    told: tuple[dict[str, str], ...] | None = None
+    shown_states: tuple[dict[str, str], ...] | None = None
 
     def show() -> None:
-        nonlocal told
+        nonlocal shown_states
         kind, taken_for = tab.planning.decisions.kind, _taken_for(tab)
         states = {slots[name]: state for name, state in _wanted(tab).items()}
         names = {slots[name]: image_name(ImageSlot(name, taken_for), kind) for name in NAMES}
         labels = {slots[name]: image_label(ImageSlot(name, taken_for), kind) for name in NAMES}
-        if (states, names, labels) != told:
-            told = states, names, labels
+        if (states, names, labels) != shown_states:
+            shown_states = states, names, labels
             zone.tell(states, names, labels)
 
     tab.on_refresh.append(show)

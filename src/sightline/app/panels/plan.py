@@ -113,8 +113,8 @@ def _fits(known: Planned | None) -> list[_Fit]:
     head = None if fitted is None else known.anatomy.head
     if fitted is not None and head is not None and head.covariance_mm2 is not None:
         centre, radius = _worst(head.covariance_mm2[:3, :3]), _worst(head.covariance_mm2[3:, 3:])
-        told = f"Head fitted: radius {head.radius_mm:.1f} ± {radius:.1f} mm, centre ± {centre:.1f} mm (95 %)."
-        fits.append(_Fit(HEAD, f"± {centre:.1f} mm", told, fitted.kept))
+        sentence = f"Head fitted: radius {head.radius_mm:.1f} ± {radius:.1f} mm, centre ± {centre:.1f} mm (95 %)."
+        fits.append(_Fit(HEAD, f"± {centre:.1f} mm", sentence, fitted.kept))
     for key, text in ((SHAFT, "Shaft"), (NECK, "Neck")):
         lines = known.fitted_axis(key)
         axis = None if lines is None else known.anatomy.shaft if key == SHAFT else known.anatomy.neck
@@ -124,8 +124,8 @@ def _fits(known: Planned | None) -> list[_Fit]:
         if turned is None or offset is None:
             continue
         error = f"± {np.rad2deg(_worst(turned)):.1f}°"
-        told = f"{text} fitted: {error}, ± {_worst(offset):.1f} mm (95 %)."
-        fits.append(_Fit(key, error, told, lines.kept))
+        sentence = f"{text} fitted: {error}, ± {_worst(offset):.1f} mm (95 %)."
+        fits.append(_Fit(key, error, sentence, lines.kept))
     return fits
 
 

@@ -66,9 +66,9 @@ def checks_html(listed: Sequence[Check], *, testid: str, kind: str = "") -> Mark
     `kind`: as of `texts.sentence`."""
     alike: dict[tuple[object, ...], list[Check]] = {}
     for check in sorted(listed, key=lambda check: check.passed):
-        said = check.sentence.removeprefix(f"{check.view}: ")
-        alike.setdefault((check.passed, check.name, _figure(check), said, bool(check.view)), []).append(check)
-    items = (_check(same[0], kind, tuple(one.view for one in same if one.view)) for same in alike.values())
+        sentence = check.sentence.removeprefix(f"{check.view}: ")
+        alike.setdefault((check.passed, check.name, _figure(check), sentence, bool(check.view)), []).append(check)
+    items = (_check(same[0], kind, tuple(each.view for each in same if each.view)) for same in alike.values())
     return filled('<ul class="checks"{}>{}</ul>', _testid(testid), joined(*items))
 
 

@@ -30,9 +30,9 @@ def key(tab: Tab) -> Hashable:
     """Key of the shot: the robot's state, the images, and the result."""
     shots, now = tab.session.shots, tab.session.drilling.now
     seen = tuple(tab.planning.seen(name) for name in SHOT_NAMES)
-    told = None if now is None or now.lost else (now.state, now.zero, now.activity)
+    robot = None if now is None or now.lost else (now.state, now.zero, now.activity)
     frame = shots.on_patient, shots.lacks_landmarks, shots.measuring, shots.objection
-    return told, shots.state, shots.shown, shots.found, shots.refused, seen, frame, tab.session.jobs.working
+    return robot, shots.state, shots.shown, shots.found, shots.refused, seen, frame, tab.session.jobs.working
 
 
 def verdict_html(tab: Tab) -> Markup:
@@ -40,10 +40,10 @@ def verdict_html(tab: Tab) -> Markup:
     shots = tab.session.shots
     if tab.step is not ProcedureStep.DRILL or not (shots.shown or shots.objection):
         return Markup()
-    decision, told = _decided(tab)
+    decision, sentence = _decided(tab)
     now = tab.session.drilling.now
     of = "" if now is None else texts.SHOT_HEADINGS[now.state]
-    return card(_STATES[decision], decision, told, of, testid="shot-verdict")
+    return card(_STATES[decision], decision, sentence, of, testid="shot-verdict")
 
 
 def _decided(tab: Tab) -> tuple[str, str]:

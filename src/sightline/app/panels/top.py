@@ -36,9 +36,9 @@ def build(tab: Tab) -> None:
         PersistentSection(tab, _link, _stop, classes="stop-box")
 
 
-def _follow(tab: Tab, nav: ui.element, told: object) -> None:
-    """Go to the step of the browser's history; `told`: the step, and how often the history was used (page.js)."""
-    match told:
+def _follow(tab: Tab, nav: ui.element, place: object) -> None:
+    """Go to the step of the browser's history; `place`: the step, and how often the history was used (page.js)."""
+    match place:
         case [str(step), int(went)] if step in list(ProcedureStep):
             nav.props(f"data-went={went}")
             tab.go_to(ProcedureStep(step))
@@ -77,12 +77,12 @@ def _say(tab: Tab) -> Markup:
             size_of(tab.message),
             tab.message,
         )
-    told = plan.instruction(tab)
-    if told is None:
+    instruction = plan.instruction(tab)
+    if instruction is None:
         return filled(
             '<div class="instruction {}" data-testid="instruction">{}</div>', size_of(_reason(tab)), _reason(tab)
         )
-    counter, image, what = told
+    counter, image, what = instruction
     return filled(
         '<div class="instruction {}" data-testid="instruction"><span class="counter">{}</span> · '
         '<span class="in-image">{}</span> · {}</div>',
@@ -123,8 +123,8 @@ def _time(tab: Tab) -> None:
         state = "unknown" if now_s is None else "done" if drilled_s is not None else "left" if fresh else "expired"
         word.set_text({"left": _minutes(left), "done": "✓", "expired": _minutes(0.0)}.get(state, "–"))
         under.set_text(texts.TIME_UNDER[state])
-        told = texts.TIME_TOLD[state].format(age=_minutes(now_s or 0.0), sent=_minutes(drilled_s or 0.0))
-        tip.set_text(told)
+        text = texts.TIME_TOLD[state].format(age=_minutes(now_s or 0.0), sent=_minutes(drilled_s or 0.0))
+        tip.set_text(text)
         marked = state == "expired" or (state == "left" and left < _EXPIRING_S)
         box.classes(add="short" if marked else "", remove="" if marked else "short")
         if fresh != was_fresh:

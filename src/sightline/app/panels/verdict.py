@@ -116,8 +116,8 @@ def _figure_html(figure: _Figure) -> Markup:
     state = {None: "open", True: "passed", False: "failed"}[figure.passed]
     sign = Markup()
     if figure.passed is not None:
-        told = texts.FIGURE_PASSED if figure.passed else texts.FIGURE_FAILED
-        sign = filled('<span class="figure-sign" role="img" aria-label="{}"></span>', told)
+        label = texts.FIGURE_PASSED if figure.passed else texts.FIGURE_FAILED
+        sign = filled('<span class="figure-sign" role="img" aria-label="{}"></span>', label)
     if value is None or limit is None:
         bar = filled(_BAR, 0, f"{100 / _ROOM:.0f}") if limit is not None else _NO_BAR
         text = "" if limit is None else f"at most {_number(limit, figure.unit, _DIGITS)}"
@@ -200,24 +200,24 @@ def html(tab: Tab) -> Markup:
     """Return the verdict as HTML: of a plan that is GO which errors no check notices, of one that is NO-GO the first
     thing to do, of an incomplete one what is left, or what the patient does not have."""
     if lacking := tab.planning.lacking:
-        state, (told, _) = "incomplete", texts.LACKS[lacking]
-        return card(state, texts.VERDICTS[state], told, "", testid="verdict")
+        state, (sentence, _) = "incomplete", texts.LACKS[lacking]
+        return card(state, texts.VERDICTS[state], sentence, "", testid="verdict")
     verdict, missing = tab.session.readiness.verdict_of(tab.known), left(tab)
     state = "incomplete" if verdict is None else verdict.state
     if verdict is None or state == "incomplete":
         unmade = () if verdict is None else tuple(dict.fromkeys(verdict.missing))
         refused = _refused(tab)
         left_said = () if not missing else (texts.LEFT.format(what=", ".join(missing)),)
-        told, *others = refused or left_said or unmade or ("",)
+        sentence, *others = refused or left_said or unmade or ("",)
         more = len(others)
     else:
         kind = tab.planning.decisions.kind
         wrong = [check for check in advised(verdict.checks) if not check.missing]
-        told = texts.sentence(wrong[0], kind) if wrong else "Every check passed. A person decides."
+        sentence = texts.sentence(wrong[0], kind) if wrong else "Every check passed. A person decides."
         more = len(wrong) - 1
     more_text, unnoticed = texts.MORE.format(count=more) if more > 0 else "", _unnoticed(tab)
     note = note_html(unnoticed, kind="warn", testid="unnoticed") if unnoticed else ""
-    return card(state, texts.VERDICTS[state], told, more_text, testid="verdict", note=note)
+    return card(state, texts.VERDICTS[state], sentence, more_text, testid="verdict", note=note)
 
 
 def build_details(tab: Tab) -> None:

@@ -115,11 +115,11 @@ def _result(tab: Tab) -> None:
         return
     wrong, missing = failed(shot.checks), missing_again(tab.planning)
     if wrong and missing:
-        told = texts.LEFT.format(what=", ".join(missing))
-        put(card("incomplete", texts.VERDICTS["incomplete"], told, testid="check-verdict"))
+        text = texts.LEFT.format(what=", ".join(missing))
+        put(card("incomplete", texts.VERDICTS["incomplete"], text, testid="check-verdict"))
     else:
         word, sentence = texts.CHECK_VERDICT[shot.passed]
-        told = texts.sentence(wrong[0]) if wrong else sentence
+        text = texts.sentence(wrong[0]) if wrong else sentence
         more = (
             texts.MORE.format(count=len(wrong) - 1)
             if wrong[1:]
@@ -127,7 +127,7 @@ def _result(tab: Tab) -> None:
             if shot.at_holes
             else ""
         )
-        put(card("go" if shot.passed else "no-go", word, told, more, testid="check-verdict"))
+        put(card("go" if shot.passed else "no-go", word, text, more, testid="check-verdict"))
     tip = "tip, not judged" if shot.at_holes else "tip"
     rows = [
         ("entry, perpendicular", f"{shot.entry_deviation_mm:.2f} mm", f"{shot.entry_error_95_mm:.2f} mm"),

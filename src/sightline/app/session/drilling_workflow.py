@@ -195,9 +195,9 @@ class DrillingWorkflow:
         RobotRefusedError, LinkError, CaseError."""
         session = self._running()
         self._refuse_changed()
-        told = {"depth_mm": depth_mm, "error_95_mm": error_95_mm, "robot_depth_mm": session.now.depth_mm}
+        depths = {"depth_mm": depth_mm, "error_95_mm": error_95_mm, "robot_depth_mm": session.now.depth_mm}
         await session.send_shot_depth(depth_mm, error_95_mm)
-        record_changed(self._planning.case, "second shot", told, by=Actor.SURGEON)
+        record_changed(self._planning.case, "second shot", depths, by=Actor.SURGEON)
 
     @property
     def changed(self) -> str:

@@ -55,15 +55,15 @@ def _planned(session: "Session") -> LiveState:
     plan = None if known is None else known.plan
     seen = {name: planning.seen(name) for name in planning.names}
     images = {name: ShownImage(s.image, s.view) for name, s in seen.items() if s is not None and s.view is not None}
-    said, wire = "no plan", None
+    verdict, wire = "no plan", None
     if plan is not None:
         names = ", ".join(dict.fromkeys(check.name for check in failed(plan.verdict.checks)))
-        said = plan.verdict.state.upper() + (f" ({names})" if names else "")
+        verdict = plan.verdict.state.upper() + (f" ({names})" if names else "")
         wire = plan.trajectory.points.xyz_mm if plan.verdict.go else None
     return LiveState(
         {STATUS: Status(Code.OK, "", "no live image")},
         images,
-        said,
+        verdict,
         wire,
         None if bone is None else bone.registered,
         side=planning.decisions.side if planning.frame.solid is None else None,

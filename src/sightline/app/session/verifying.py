@@ -164,12 +164,12 @@ class Verifying:
 
     def _record(self, request: "_CheckRequest", result: CheckShot | str) -> None:
         case = self._planning.case
-        told = case.entry(request.sent.number)
-        if not told.rests_on:
+        sent = case.entry(request.sent.number)
+        if not sent.rests_on:
             return  # sent by a version that did not record the plan
         first, second = (entry_of(case, image) for image in request.seen)
         measured = CheckRequest(request.sent.plan.kind.wire_mm, request.landmarks)
-        record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, result, by=Actor.APP)
+        record_verified(case, case.entry(sent.rests_on[0]), (first, second), measured, result, by=Actor.APP)
 
     async def _found(self, request: "_CheckRequest", seen: SeenImage) -> "WireShadow":
         """Return the wire in one image, cached."""

@@ -21,14 +21,14 @@ SCAN_S = 0.5  # between two scans
 class _File:
     """A file: its size and modification time, since when they are unchanged (monotonic s), and whether it is done.
 
-    `told`: it was reported as waiting. `unusable`: it claims to be an image and was refused.
+    `reported`: it was reported as waiting. `unusable`: it claims to be an image and was refused.
     """
 
     number: int
     stamp: tuple[int, int]
     since_s: float
     done: bool = False
-    told: bool = False
+    reported: bool = False
     unusable: bool = False
 
 
@@ -64,8 +64,8 @@ class Folder:
             try:
                 self._take(path, file, final=quiet_s >= GIVE_UP_S)
             except CaseError as error:
-                if not file.told:
-                    file.told = True
+                if not file.reported:
+                    file.reported = True
                     self._tell(News("refused", f"file {file.number}: waits, since {error}"))
 
     @property

@@ -20,8 +20,8 @@ _M_OF_MM = 1e-3  # ROS is in metres [REP-103]
 def slicer_files(bone: RegisteredBone) -> dict[str, bytes]:
     """Return the transform file that places the CT or mesh in CFCS: Slicer uses the inverse of the one in the file."""
     wrong = ", ".join(check.name for check in failed(bone.checks))
-    said = f"; NOT TO BE TRUSTED, checks failed: {wrong}" if wrong else ""
-    text = f"3D Slicer: places the CT or mesh in CFCS, mm; other programs: invert it{said}"
+    warning = f"; NOT TO BE TRUSTED, checks failed: {wrong}" if wrong else ""
+    text = f"3D Slicer: places the CT or mesh in CFCS, mm; other programs: invert it{warning}"
     return {"bone-pose.tfm": transform_bytes(np.linalg.inv(bone.matrix), text)}
 
 

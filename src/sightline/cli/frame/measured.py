@@ -62,23 +62,23 @@ def fit(
 
     refuse_existing(out)
     day = conditions.measured_on.date().isoformat() if conditions.measured_on else None
-    told = Circumstances(
+    circumstances = Circumstances(
         conditions.serial, day, conditions.temperature_c, conditions.use_temperature_c, conditions.drift_mm
     )
     nominal = Frame.load(frame)
     series = read_measurements(measurements, covariance)
     with output.step("adjusting the frame"):
-        fitted = fit_frame(nominal, series, told)
+        fitted = fit_frame(nominal, series, circumstances)
     document = _document(fitted)
     output.failures(fitted.checks)
     _show(output, document)
     if fitted.frame is not None:
         fitted.frame.save(out)
-        if told.growth:
+        if circumstances.growth:
             grown = f"from {conditions.temperature_c:g} to {conditions.use_temperature_c:g} °C"
-            output.say(f"grown by {1e6 * told.growth:.0f} ppm, {grown}")
+            output.say(f"grown by {1e6 * circumstances.growth:.0f} ppm, {grown}")
         output.say(f"written: {out}")
-    output.result({"file": out if fitted.frame else None, "growth": told.growth, **document}, fitted.checks)
+    output.result({"file": out if fitted.frame else None, "growth": circumstances.growth, **document}, fitted.checks)
 
 
 def _document(fitted: "FittedFrame") -> dict[str, Any]:

@@ -78,8 +78,8 @@ class Differences:
         sums = block_sums(weight[:, :, None] * products, _BLOCK_PX)
         information, vectors = np.linalg.eigh(sums[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
         pulls = np.einsum("nki,nk->ni", vectors, sums[:, 3:])
-        told = information > _LEAST_INFORMATION
-        return np.stack([np.abs(pulls[told] / information[told]), information[told]], axis=1)
+        certain = information > _LEAST_INFORMATION
+        return np.stack([np.abs(pulls[certain] / information[certain]), information[certain]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,8 +74,8 @@ class _Definition:
 
     def missing(self, anatomy: Anatomy) -> list[str]:
         """Return the parts that it needs and that are not located."""
-        one = self.either[:1] if anatomy.at.keys().isdisjoint(self.either) else ()
-        return [part for part in (*self.needs, *one) if part not in anatomy.at]
+        alternative = self.either[:1] if anatomy.at.keys().isdisjoint(self.either) else ()
+        return [part for part in (*self.needs, *alternative) if part not in anatomy.at]
 
 
 def metrics(anatomy: Anatomy, side: str) -> tuple[Metric, ...]:

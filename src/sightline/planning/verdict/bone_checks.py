@@ -91,14 +91,14 @@ class _Bone:
         entry, end = self.anatomy.part("wire").reshape(2, 3)
         return self.centre_mm is not None and not bool(_order(self.centre_mm).passes(entry[None], end[None])[0])
 
-    def lacking(self, rule: CheckRule, said: Collection[str] = ()) -> tuple[list[str], list[str]]:
+    def lacking(self, rule: CheckRule, known_missing: Collection[str] = ()) -> tuple[list[str], list[str]]:
         """Return what a check lacks, each with what to do: what was not drawn, picked or stated, and what was drawn
-        but cannot be located. Of alternatives those of the first count. `said`: what need not be named again."""
+        but cannot be located. Of alternatives those of the first count. `known_missing`: not named again."""
         known, check = {*self.anatomy.at, *self.landmarks_mm}, CHECKS[rule.check]
         if any(needs <= known for needs in check.needs):
             parts = []
         else:
-            parts = sorted(set(*check.needs[:1]) - known - set(said))
+            parts = sorted(set(*check.needs[:1]) - known - set(known_missing))
         unpicked = [
             f"the landmark '{part}' is not picked: pick it in both images" for part in parts if part in LANDMARKS
         ]
@@ -108,7 +108,7 @@ class _Bone:
         undrawn = unpicked + [why[part] for part in parts if part in waits]  # itself, or what it is located by
         refused = [why[part] for part in parts if part not in waits]
         with_side = check.side and (rule.check not in MEASURES or rule.check == "above lesser trochanter")
-        if self.side is None and with_side and "side" not in said:
+        if self.side is None and with_side and "side" not in known_missing:
             undrawn.append("the side is not given")
         return undrawn, refused
 
@@ -268,10 +268,10 @@ def _unmade(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
         )
     elif "head" in anatomy.absent:
         wanting("head", f"The head is not known: {anatomy.absent['head']}.", missing=False)
-    said = ({"head"} if any(check.name == "head" for check in unmade) else set()) | ({"side"} & asked)
+    named = ({"head"} if any(check.name == "head" for check in unmade) else set()) | ({"side"} & asked)
     of_name: dict[str, tuple[list[str], list[str]]] = {}
     for rule in rules:
-        undrawn, refused = bone.lacking(rule, said)
+        undrawn, refused = bone.lacking(rule, named)
         if rule.check not in MEASURES:
             refused = []  # which the metric's own check says
         if refused or (undrawn and rule.optional is None):

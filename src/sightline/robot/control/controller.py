@@ -278,10 +278,10 @@ class Controller:
         return Answer(Code.OK)
 
     def _stop(self, client: int, now_s: float) -> Answer:
-        told = [Outcome(client, Trigger.STOP.value, Code.OK, "stands still")]
+        outcomes = [Outcome(client, Trigger.STOP.value, Code.OK, "stands still")]
         if self.lease is not None and client != self.lease:
-            told.append(Outcome(self.lease, Trigger.STOP.value, Code.OK, "stopped by another client"))
-        self.machine.stop(told, now_s)
+            outcomes.append(Outcome(self.lease, Trigger.STOP.value, Code.OK, "stopped by another client"))
+        self.machine.stop(outcomes, now_s)
         self._cancel_check(Code.NOT_READY, "stopped by a client's STOP")
         return Answer(Code.OK, done=False)
 

@@ -31,7 +31,7 @@ class Pace(NamedTuple):
     idle_s: float
 
 
-def beat(link: socket.socket, told: socket.socket, message: bytes, pace: Pace) -> None:
+def beat(link: socket.socket, reports: socket.socket, message: bytes, pace: Pace) -> None:
     """Send heartbeats until the client or the connection has ended."""
     waiting, quiet_s, sent_s, turned_s = False, 0.0, -pace.idle_s, time.monotonic()
     while True:
@@ -45,8 +45,8 @@ def beat(link: socket.socket, told: socket.socket, message: bytes, pace: Pace) -
                 return
             sent_s = now
         left = sent_s + pace.every_s - time.monotonic()
-        if select.select([told], [], [], min(max(left, 0.001), pace.every_s))[0]:
-            report = told.recv(4096)
+        if select.select([reports], [], [], min(max(left, 0.001), pace.every_s))[0]:
+            report = reports.recv(4096)
             if not report:
                 return
             waiting, quiet_s, turned_s = report.endswith(WAITING), 0.0, time.monotonic()
@@ -65,17 +65,17 @@ class Heartbeat:
     """Sends heartbeats on `link` from now on. Others must write to `link` whole messages only, when it is writable."""
 
     def __init__(self, link: socket.socket, message: bytes, pace: Pace) -> None:
-        self._own, told = socket.socketpair()
+        self._own, reports = socket.socketpair()
         self._own.setblocking(False)
         self._ticked_s = 0.0
         self._process: subprocess.Popen[bytes] | None = None
         if os.name == "posix":
-            numbers = (link.fileno(), told.fileno())
+            numbers = (link.fileno(), reports.fileno())
             command = [sys.executable, "-I", "-S", __file__, *map(str, numbers), message.hex(), *map(str, pace)]
             self._process = subprocess.Popen(command, pass_fds=numbers, stdin=subprocess.DEVNULL)  # noqa: S603
-            told.close()
+            reports.close()
         else:  # Windows does not inherit sockets; a thread can be delayed by the interpreter lock
-            threading.Thread(target=beat, args=(link, told, message, pace), name="heartbeat", daemon=True).start()
+            threading.Thread(target=beat, args=(link, reports, message, pace), name="heartbeat", daemon=True).start()
             return
         if not select.select([self._own], [], [], START_S)[0] or not self._own.recv(1):
             self.close()
@@ -105,11 +105,11 @@ class Heartbeat:
             self._own.send(what)
 
 
-def _main(link: str, told: str, message: str, *pace: str) -> None:
+def _main(link: str, reports: str, message: str, *pace: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the client handles Ctrl-C and ends this process
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    pair = socket.socket(fileno=int(told))
+    pair = socket.socket(fileno=int(reports))
     pair.send(b"r")
     beat(socket.socket(fileno=int(link)), pair, bytes.fromhex(message), Pace(*map(float, pace)))
 
