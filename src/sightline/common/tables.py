@@ -3,7 +3,7 @@
 import csv
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
@@ -77,6 +77,13 @@ def read_csv(file: Path, max_bytes: int, refuse: type[UnusableInputError], hint:
         raise refuse(f"{file.name} is not a table (CSV): {error}") from None
     except ValueError as error:
         raise refuse(f"{file.name}: {error}") from None
+
+
+def csv_bytes(head: Iterable[str], rows: Iterable[Iterable[object]]) -> bytes:
+    """Return a table as CSV in UTF-8, with lines that end as on Unix."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    return text.getvalue().encode()
 
 
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")

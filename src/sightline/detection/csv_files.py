@@ -1,7 +1,5 @@
 """Beads as CSV, labelled or not: the schemas of docs/observations-csv.md."""
 
-import csv
-import io
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -11,7 +9,7 @@ import numpy as np
 
 from sightline.common.atomic import write_whole
 from sightline.common.bounded import MAX_TEXT_BYTES, regular_file
-from sightline.common.tables import Row, read_rows
+from sightline.common.tables import Row, csv_bytes, read_rows
 from sightline.detection.labelling import label
 from sightline.detection.results import Detections, Observations
 from sightline.errors import ObservationsError
@@ -55,12 +53,7 @@ def write_observations(observations: Iterable[Observations], path: str | Path) -
     header = _COLUMNS
     header += _COVARIANCE if all(view.covariance_px2 is not None for view in views) else ()
     header += _RADIUS if all(view.radius_px is not None for view in views) else ()
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    for view in views:
-        writer.writerows(_lines(view, header))
-    return write_whole(path, text.getvalue().encode())
+    return write_whole(path, csv_bytes(header, [line for view in views for line in _lines(view, header)]))
 
 
 def _lines(view: Observations, header: tuple[str, ...]) -> Iterator[list[str]]:

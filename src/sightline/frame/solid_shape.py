@@ -65,7 +65,7 @@ def symmetry_of(xyz_mm: np.ndarray, diameter_mm: np.ndarray, tolerance_mm: float
     ['reflected in the plane perpendicular to (0.77, 0.51, 0.38)']
     """
     centred = xyz_mm - xyz_mm.mean(axis=0)
-    classes = _classes(diameter_mm)
+    classes = np.unique(np.round(diameter_mm, 2), return_inverse=True)[1]
     symmetries: list[np.ndarray] = []
     for matrix in _candidates(centred, classes, tolerance_mm):
         better = _improved(matrix, centred, classes, tolerance_mm)
@@ -74,10 +74,6 @@ def symmetry_of(xyz_mm: np.ndarray, diameter_mm: np.ndarray, tolerance_mm: float
         ):
             symmetries.append(better)
     return tuple(symmetries)
-
-
-def _classes(diameter_mm: np.ndarray) -> np.ndarray:
-    return np.unique(np.round(diameter_mm, 2), return_inverse=True)[1]
 
 
 def _candidates(centred: np.ndarray, classes: np.ndarray, tolerance_mm: float) -> list[np.ndarray]:

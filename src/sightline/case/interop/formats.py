@@ -3,8 +3,6 @@
 3D Slicer uses a transform file in the opposite direction: it places objects by the inverse of the mapping in the file.
 """
 
-import csv
-import io
 from collections.abc import Iterator
 from math import degrees
 
@@ -13,6 +11,7 @@ import numpy as np
 from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.interop.plan_file import PlanFile
 from sightline.common.geometry.lines import unit
+from sightline.common.tables import csv_bytes
 from sightline.errors import UnusableInputError
 from sightline.robot import contract
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
@@ -99,13 +98,8 @@ _UPPER = np.triu_indices(3)
 
 def csv_files(plan: PlanFile, side: str | None) -> dict[str, bytes]:
     """Return `trajectory.csv`: in CFCS, and in patient LPS too if the side is given. Unknown errors are empty cells."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(_rows(plan, "CFCS", np.eye(3)))
-    if side is not None:
-        writer.writerows(_rows(plan, "LPS", R_lps_cfcs(side)))
-    return {"trajectory.csv": text.getvalue().encode()}
+    rows = [*_rows(plan, "CFCS", np.eye(3)), *([] if side is None else _rows(plan, "LPS", R_lps_cfcs(side)))]
+    return {"trajectory.csv": csv_bytes(COLUMNS, rows)}
 
 
 def _rows(plan: PlanFile, frame: str, rotation: np.ndarray) -> Iterator[list[str]]:

@@ -15,7 +15,7 @@ from sightline.imaging.radiograph import stretched
 from sightline.planning import Hole, MatchingCurve, Pick, Plan, Trajectory
 from sightline.planning.nail.expected import rim
 
-JPEG_QUALITY = 82  # [ours] 1024² in about 150 kB; overlays are drawn over it, not burnt in
+_JPEG_QUALITY = 82  # [ours] 1024² in about 150 kB; overlays are drawn over it, not burnt in
 CLOSEUP_PX = 24.0  # [ours] half the side of a close-up: about 3 mm at the hip, so that half a pixel is seen
 
 
@@ -26,8 +26,9 @@ def grey(image: Radiograph) -> np.ndarray:
     return stretched(log, shown if shown.size else log)
 
 
-def _data_uri(image: Radiograph) -> str:
-    _, jpeg = cv2.imencode(".jpg", grey(image), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+def jpeg_uri(shown: np.ndarray) -> str:
+    """Return a picture (H, W), as `grey` makes it, as the address of a JPEG that holds it."""
+    _, jpeg = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode()
 
 
@@ -96,7 +97,7 @@ def sources(images: dict[str, Radiograph]) -> str:
         svg.element(
             "image",
             id=f"radiograph-{name}",
-            href=_data_uri(image),
+            href=jpeg_uri(grey(image)),
             x=-0.5,
             y=-0.5,
             width=image.shape[1],

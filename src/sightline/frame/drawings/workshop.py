@@ -1,9 +1,7 @@
 """The files that a workshop needs to make a frame: bill of material, inspection sheet, bores, and meshes (STL)."""
 
-import csv
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from io import StringIO
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,7 @@ from trimesh import Trimesh
 from trimesh.exchange.stl import export_stl
 
 from sightline.common.atomic import whole_folder, write_files
+from sightline.common.tables import csv_bytes
 from sightline.errors import FrameError
 from sightline.frame.drawings.part import SCREW_MM, SIGMAS, Part, parts_of
 from sightline.frame.drawings.picture import frame_png
@@ -88,13 +87,13 @@ def _edges(parts: Sequence[Part]) -> str:
 
 def bill_csv(parts: Sequence[Part]) -> bytes:
     """Return the bill of material as CSV."""
-    return _csv(("item", "number", "material", "remark"), bill_rows(parts))
+    return csv_bytes(("item", "number", "material", "remark"), bill_rows(parts))
 
 
 def holes_csv(part: Part) -> bytes:
     """Return the bores of one plate as CSV, for a machine tool."""
     head = ("no", "id", "x_mm", "y_mm", "diameter_mm", "upper_mm", "depth_mm", "position_tolerance_mm")
-    return _csv(
+    return csv_bytes(
         head,
         [
             (b.number, b.ball.id, b.x_mm, b.y_mm, b.ball.diameter_mm, b.upper_mm, b.depth_mm, part.position_mm)
@@ -113,7 +112,7 @@ def inspection_csv(frame: Frame) -> bytes:
         ("1", f.id, view, plate, *f.xyz_mm, tolerance, f.diameter_mm, "", "", "", "", "", "")
         for view, plate, f in balls
     ]
-    return _csv(SHEET_COLUMNS, rows)
+    return csv_bytes(SHEET_COLUMNS, rows)
 
 
 def bill_page(frame: Frame, parts: Sequence[Part]) -> str:
@@ -168,14 +167,6 @@ def drape_envelopes(frame: Frame, parts: Sequence[Part]) -> list[tuple[str, np.n
             across = max(part.width_mm for part in own), max(part.height_mm for part in own)
             boxes.append((f"{name}, both plates", np.array([*across, length])))
     return [(name, box + 2 * DRAPE_CLEARANCE_MM) for name, box in boxes]
-
-
-def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows(rows)
-    return text.getvalue().encode()
 
 
 _PAGE = """# Frame {name}: bill of material

@@ -1,6 +1,5 @@
 """Comparison of the twin with real images: both are measured in the same way."""
 
-import base64
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sightline.case.report.radiographs import JPEG_QUALITY, grey
+from sightline.case.report.radiographs import grey, jpeg_uri
 from sightline.detection import Detections, detect
 from sightline.detection.lattice import Lattice
 from sightline.errors import DetectionRefusedError, SightlineError, UnusableInputError
@@ -429,5 +428,4 @@ def _data_uri(image: Radiograph) -> str:
     shown = grey(image)
     scale = min(1.0, SHOWN_PX / max(shown.shape))
     small = cv2.resize(shown, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode()
+    return jpeg_uri(small)
