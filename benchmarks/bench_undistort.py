@@ -25,19 +25,20 @@ GREY = [cv2.VIDEOWRITER_PROP_IS_COLOR, 0]
 
 def run(quick: bool) -> Rows:
     """Return a row for each kind of file."""
-    rows, count = Rows("undistorting, 1024²"), 40 if quick else 150
+    rows = Rows("undistorting, 1024²")
     index = np.stack(np.meshgrid(*2 * (np.arange(-9, 10),)), axis=-1).reshape(-1, 2)
     off = 50.0 * index
     grid = GridMap(
         511.5 + off * (1 + 1e-7 * np.square(off).sum(axis=1, keepdims=True)), index, False, 10.0, (SIDE, SIDE), "ball"
     )
     uv = grid.sources()
-    for name, make in (
-        ("video, 8 bit", _video),
-        ("TIFF, 16 bit", _tiff),
-        ("PNG, 16 bit", _png),
-        ("DICOM, 16 bit", _dicom),
+    for name, make, frames in (
+        ("video, 8 bit", _video, 150),
+        ("TIFF, 16 bit", _tiff, 1000),
+        ("PNG, 16 bit", _png, 150),
+        ("DICOM, 8 bit", _dicom, 1000),  # of 16 bit a file of 1 GiB has 500
     ):
+        count = 40 if quick else frames
         with tempfile.TemporaryDirectory() as place:
             path, plain = make(Path(place), _frames(8), count)
             work = UndistortedRun.of(path, 1)
@@ -87,7 +88,8 @@ def _png(place: Path, frames: list[np.ndarray], count: int) -> Made:
 
 
 def _dicom(place: Path, frames: list[np.ndarray], count: int) -> Made:
-    file = write_dicom(sl.Radiograph(frames[0], 4095.0), place / "run.dcm")
+    frames = [(frame >> 4).astype(np.uint8) for frame in frames]
+    file = write_dicom(sl.Radiograph(frames[0], 255.0), place / "run.dcm")
     header = dcmread(file)
     header.NumberOfFrames = count
     header.PixelData = b"".join(frames[k % len(frames)].tobytes() for k in range(count))
