@@ -140,6 +140,8 @@ def test_a_body_is_followed_and_a_frame_with_a_hidden_ball_has_no_pose(
     assert ran.document["poses"] == 2 and ran.document["precision_mm"] < 0.043
     (tmp_path / "cam2" / "2.png").unlink()
     assert "fewer frames" in run("balls", *given).said
+    cv2.imwrite(str(tmp_path / "cam2" / "0.png"), np.full((900, 1024), 3000, np.uint16))
+    assert "1024 x 900 pixels, view cam2 is of 1024 x 1024" in run("balls", *given).said
 
 
 def test_a_view_of_the_same_name_is_replaced_and_another_file_kept(run, cube: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from sightline.cli.biplane.reconstruct import Views
 if TYPE_CHECKING:
     from collections.abc import Generator
 
+    from sightline.calibration.view import CalibratedView
     from sightline.detection import Detections
     from sightline.imaging import Radiograph
     from sightline.planning.points.body import BallBody, BodyPose
@@ -43,11 +44,14 @@ def balls(
     from sightline.errors import ReconstructionRefusedError, UnusableInputError
     from sightline.planning.points.body import BodyFinder, BodyPose
 
-    finder = BodyFinder(read_views(views), None if body is None else _body(body))
+    known = read_views(views)
+    finder = BodyFinder(known, None if body is None else _body(body))
     if len(runs) != 2:
         raise UnusableInputError(f"{len(runs)} runs are given; give one for each of the two views")
     with output.step("following the balls"):
-        found = [finder.find(seen) for seen in _frames(runs, invert=invert)]
+        found = [finder.find(seen) for seen in _frames(runs, known, invert=invert)]
+    if not found:
+        raise UnusableInputError("the runs have no frames; copy them again")
     poses = [each for each in found if isinstance(each, BodyPose)]
     lines = [f"{k},{_row(each)}" for k, each in enumerate(found, 1)]
     write_whole(out, "\n".join([_HEADER, *lines, ""]).encode())
@@ -82,8 +86,11 @@ def _body(path: Path) -> "BallBody":
     return BallBody(series.ids, series.xyz_mm, default if stated is None else stated)
 
 
-def _frames(runs: list[Path], *, invert: bool) -> "Generator[list[Detections]]":
-    """Yield the balls in both images of each frame. Raises UnusableInputError for runs of different lengths."""
+def _frames(runs: list[Path], views: "list[CalibratedView]", *, invert: bool) -> "Generator[list[Detections]]":
+    """Yield the balls in both images of each frame.
+
+    Raises UnusableInputError for runs of different lengths, and for images of another size than the views'.
+    """
     from itertools import zip_longest
 
     from sightline.errors import UnusableInputError
@@ -92,6 +99,13 @@ def _frames(runs: list[Path], *, invert: bool) -> "Generator[list[Detections]]":
     for pair in zip_longest(*(open_source(str(run), invert=invert) for run in runs)):
         if None in pair:
             raise UnusableInputError("one run has fewer frames than the other; give the same frames of both")
+        for view, frame in zip(views, pair, strict=True):
+            wanted, given = getattr(view, "image_shape", None) or frame.image.shape, frame.image.shape
+            if given != wanted:
+                raise UnusableInputError(
+                    f"an image has {given[1]} x {given[0]} pixels, view {view.name} is of {wanted[1]} x {wanted[0]}; "
+                    "give the runs in the order of the views, as large as their images"
+                )
         yield [_seen(frame.image) for frame in pair]
 
 
