@@ -65,7 +65,7 @@ def test_what_a_classical_map_misses_is_what_is_stated(method, degree):
 
 @pytest.mark.slow
 def test_classical_ellipses_cover_nearly_as_they_say():
-    found = squares(range(100, 160), "polynomial", degree=5)
+    found = squares(range(100, 130), "polynomial", degree=5)
     assert 0.90 < np.mean(found <= chi2.ppf(0.95, 2)) < 0.99
 
 

@@ -77,10 +77,9 @@ def test_a_shadow_is_centred_where_the_outline_of_the_ball_is():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sd_mm", [0.02, 0.1])
-def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth(sd_mm):
+def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth():
     """60 set-ups: the mean of the squared Mahalanobis length of three coordinates is 3 ± 4 s.d. of such a mean."""
-    frame = replace(BLOCK, tolerances=Tolerances(sd_mm, 0.0, 0.0, 0.0, 0.0))
+    frame = replace(BLOCK, tolerances=Tolerances(0.1, 0.0, 0.0, 0.0, 0.0))
     rng, squares, chi_squares, away = np.random.default_rng(3), [], [], []
     for _ in range(60):
         cameras, given, _ = _pair(rng, frame)
@@ -95,7 +94,7 @@ def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth(sd_mm):
     assert abs(np.mean(squares) - 3.0) < 4 * np.sqrt(6.0 / 60)
     assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.95 - 3.5 * np.sqrt(0.95 * 0.05 / 60)
     assert abs(np.mean(chi_squares) - 1.0) < 4 * np.sqrt(2.0 / 52 / 60)  # 52 degrees of freedom
-    assert np.sqrt(np.mean(away)) < {0.02: 0.056, 0.1: 0.18}[sd_mm]
+    assert np.sqrt(np.mean(away)) < 0.18
 
 
 def _line_variance_mm2(view, truth):

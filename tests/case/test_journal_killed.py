@@ -64,7 +64,7 @@ def test_killed_at_steps_all_over_an_entry_nothing_acknowledged_is_lost(tmp_path
     """The same case is opened again and goes on after every kill. The campaign `kills` does so a thousand times."""
     acknowledged, folder = Acknowledged(), tmp_path / "case"
     Case.create(folder).close()
-    for k, step in enumerate(range(400, 400 + 2 * RECORD_STEPS, 11)):
+    for k, step in enumerate(range(400, 400 + 2 * RECORD_STEPS, 17)):
         killed_at_step(folder, k, step, acknowledged)
         found = acknowledged.all_there(folder)
         assert found <= len(acknowledged.chains) + k + 1  # at most one that was not acknowledged, each time
@@ -75,7 +75,7 @@ def test_killed_at_steps_all_over_an_entry_nothing_acknowledged_is_lost(tmp_path
 def test_killed_while_it_is_created_a_case_is_there_or_can_be_created(tmp_path: Path) -> None:
     """Killed again and again in one folder: the same program, started again, comes as far as an uncut one."""
     found = set()
-    for step in range(1, CREATE_STEPS, 70):
+    for step in range(1, CREATE_STEPS, 110):
         folder, acknowledged = tmp_path / str(step), Acknowledged()
         killed_at_step(folder, 1, step, acknowledged)
         journal = folder / "journal.sqlite"

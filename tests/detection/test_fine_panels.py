@@ -13,7 +13,7 @@ from sightline.twin.objects.things import Scene
 from sightline.twin.xray.presets import preset
 from sightline.twin.xray.render import DOSES, Dose
 
-PANELS = "flat-panel-0.1", "flat-panel-0.2", "flat-panel-0.3"
+CHAIN = "flat-panel-0.2"
 FIELD_MM = 120.0
 
 
@@ -24,10 +24,9 @@ def found_of(beads: Detections, uv_px: np.ndarray, within_px: np.ndarray) -> tup
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("chain", PANELS)
-def test_a_blocks_balls_are_found_with_honest_covariances(chain: str) -> None:
+def test_a_blocks_balls_are_found_with_honest_covariances() -> None:
     """96 balls before a hip, each at three doses; their 192 coordinates state a ratio of s.d. to 5 % (1 s.d.)."""
-    panel = middle_of(preset(chain), round(FIELD_MM / preset(chain).pitch_mm))
+    panel = middle_of(preset(CHAIN), round(FIELD_MM / preset(CHAIN).pitch_mm))
     view, around = view_of(panel), hip()
     seen: dict[str, list[np.ndarray]] = {dose: [] for dose in DOSES}
     missed = false = 0

@@ -238,7 +238,7 @@ def test_every_frame_that_a_file_can_hold_is_judged(seed, flatten, repeat):
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), flatten=st.sampled_from([0.0, 1e-9, 1.0]), repeat=st.booleans())
 def test_every_solid_that_a_file_can_hold_is_judged_and_drawn_or_refused(seed, flatten, repeat):
     """Balls anywhere, in a plane or on each other, of any size: checks and a picture come back, parts or a sentence."""

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.scenes.nails import Sight, scored, seen
+from benchmarks.scenes.nails import Sight, seen
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration import view_from_matrix
 from sightline.errors import ErrorUnknownError, ReconstructionRefusedError
 from sightline.planning import Edge, Hole, HoleSeen, Nail, fit_hole
 from sightline.planning.nail.hole import farthest_apart
-from sightline.twin.anatomy.nailed_femur import DistalNail, draw_nail
+from sightline.twin.anatomy.nailed_femur import DistalNail
 from sightline.twin.xray.distributions import beam_at
 
 SMALL = np.eye(12) * 1e-16  # a matrix with hardly an error
@@ -64,26 +64,6 @@ def test_exact_edges_give_the_exact_hole(which):
     assert hole.entry_mm[2] < hole.exit_mm[2]  # the sources are at negative z
     assert hole.passed
     assert (hole.kept == hole.given).all()
-
-
-@pytest.mark.slow
-def test_covariance_is_that_of_the_errors():
-    rng, squares = np.random.default_rng(5), []
-    sd = np.repeat([TURN_RAD, SHIFT_MM], 3)
-    by_pose = [
-        np.array([(camera_matrix(a, 1e-4 * e) - camera_matrix(a, -1e-4 * e)).ravel() / 2e-4 for e in np.eye(6)]).T
-        for a in ORBITS
-    ]
-    for _ in range(TRIALS):
-        nail = draw_nail(rng, rng.uniform(-8.0, 8.0, 3), beam_at(0.0), off_beam=0.06)
-        views = [
-            view_from_matrix(camera_matrix(angle, sd * rng.standard_normal(6)), (by * sd**2) @ by.T, f"{k}")
-            for k, (angle, by) in enumerate(zip(ORBITS, by_pose, strict=True))
-        ]
-        squares.append(scored(fit_hole(views, seen(rng, nail, _sights(), every=10), _known(nail)), nail).square)
-    # Mean of 25 chi-squares of 4: s.d. 0.57. The sizes' prior, not drawn here, makes it a little smaller. The benchmark
-    # counts the coverage of a thousand.
-    assert 2.5 < np.mean(squares) < 5.2
 
 
 def _spoiled(edges: list[HoleSeen], share: float, by_px: float) -> list[HoleSeen]:

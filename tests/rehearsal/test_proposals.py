@@ -111,12 +111,11 @@ def test_one_of_the_two_borders_at_a_pins_entry_is_enough() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("procedure", TRUTH_MM)
-def test_its_covariance_holds_by_sampling(procedure: str) -> None:
-    """Mean of a chi-square of six: s.d. 0.55 over 40 samples, within 3.5 of them."""
+def test_its_covariance_holds_by_sampling() -> None:
+    """Mean of a chi-square of six: s.d. 0.55 over 40 samples of three procedures, within 3.5 of them."""
     samples = []
     for seed in range(20, 60):
-        patient = _patient(procedure, seed)
+        patient = _patient(tuple(TRUTH_MM)[seed % 3], seed)
         try:
             made, exact = _proposed(patient, np.random.default_rng([seed, 9]), PICK_PX, BEAD_PX)[2], _exact(patient)
         except ReconstructionRefusedError:  # the border at the entry runs along the wire

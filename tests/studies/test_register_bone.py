@@ -14,9 +14,8 @@ SOLID = RegisterBone(frames=("block60",))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [0, 1])
-def test_a_bone_is_registered_to_the_images_of_its_hip(number: int) -> None:
-    trial = SOLID.trial(np.random.default_rng([2, number]))
+def test_a_bone_is_registered_to_the_images_of_its_hip() -> None:
+    trial = SOLID.trial(np.random.default_rng([2, 1]))
     assert json.loads(json.dumps(trial)) == trial
     pose = trial["block60"]
     assert pose["ended"] == "trusted", pose["why"]
