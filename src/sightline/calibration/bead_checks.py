@@ -14,7 +14,7 @@ from sightline.calibration.maps.hull import Hull
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import Residuals
-from sightline.common.checks import FALSE_ALARM, Check
+from sightline.common.checks import FALSE_ALARM, Check, at_most
 from sightline.common.fitting import distances
 from sightline.common.geometry.outlines import convex_hull, enclosed_area
 from sightline.common.geometry.planes import Plane
@@ -58,11 +58,11 @@ def noise_checks(fit: JointFit) -> list[Check]:
     """Return one check: chi-square where covariances were given, otherwise the estimated noise."""
     if fit.beads.covariance_px2 is None:
         noise_px = fit.learned.noise_scale
-        passed = noise_px <= MAX_NOISE_PX
-        sentence = (
+        states = (
             f"No covariance of the beads was given; their noise, estimated from the residuals, is {noise_px:.2f} px"
-        ) + ("." if passed else f", limit {MAX_NOISE_PX:g} px: check labels and frame, or acquire a sharper image.")
-        return [Check("measurement noise", passed, noise_px, MAX_NOISE_PX, "px", sentence)]
+        )
+        otherwise = f", limit {MAX_NOISE_PX:g} px: check labels and frame, or acquire a sharper image."
+        return [at_most("measurement noise", noise_px, MAX_NOISE_PX, "px", states, otherwise=otherwise)]
     return [
         chi_square_check(
             *_misfit(fit),
@@ -196,13 +196,9 @@ def leave_one_out_check(residuals: Residuals) -> Check:
         sentence = "Bring more beads into the field: too few are seen to predict any of them from the others."
         return Check("leave-one-out error", False, None, limit, "mm", sentence)
     rms = residuals.leave_one_out_rms_mm
-    passed = rms <= limit
-    sentence = f"The others predict each bead to {rms:.3f} mm rms per axis on its plate" + (
-        "."
-        if passed
-        else f", limit {limit:g} mm: check in the report the labels of the beads with the largest residuals."
-    )
-    return Check("leave-one-out error", passed, rms, limit, "mm", sentence)
+    states = f"The others predict each bead to {rms:.3f} mm rms per axis on its plate"
+    otherwise = f", limit {limit:g} mm: check in the report the labels of the beads with the largest residuals."
+    return at_most("leave-one-out error", rms, limit, "mm", states, otherwise=otherwise)
 
 
 def wrong_beads_check(residuals: Residuals) -> Check:

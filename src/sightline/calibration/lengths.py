@@ -20,7 +20,7 @@ import numpy as np
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import PlaneMap
-from sightline.common.checks import Check
+from sightline.common.checks import Check, at_most
 from sightline.common.fitting import MAD_TO_SD, MEDIAN_SD, median
 from sightline.common.geometry.covariance import TWO_SIDED_999, response
 from sightline.common.geometry.lines import unit
@@ -202,18 +202,15 @@ def steady_check(length: FocalLength, before: Sequence[FocalLength]) -> Check:
     limits = TWO_SIDED_999 * np.sqrt(variances)
     worst = int(np.argmax(np.abs(changes) / limits))
     change, limit = 100 * float(abs(changes[worst])), 100 * float(limits[worst])
-    passed = change <= limit
-    sentence = (
+    states = (
         f"The focal length differs by {change:.2f} % from that of an earlier image of this view; {limit:.1f} % may be "
         "flex"
     )
-    sentence += (
-        "."
-        if passed
-        else ". A plate has moved against the other since, or this is another C-arm or magnification: inspect the "
+    otherwise = (
+        ". A plate has moved against the other since, or this is another C-arm or magnification: inspect the "
         "frame and measure it; with another C-arm begin a new case."
     )
-    return Check("focal length before", passed, change, limit, "%", sentence)
+    return at_most("focal length before", change, limit, "%", states, otherwise=otherwise)
 
 
 def _over_beads(fit: JointFit, middle_px: np.ndarray) -> tuple[float, float]:

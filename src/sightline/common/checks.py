@@ -298,6 +298,12 @@ def at_most(name: str, value: float, limit: float, unit: str, states: str, *, ot
     return Check(name, passed, value, limit, unit, states + ("." if passed else otherwise))
 
 
+def at_least(name: str, value: float, limit: float, unit: str, states: str, *, otherwise: str) -> Check:
+    """Return the check that a value is at least its limit, as `at_most`."""
+    passed = bool(value >= limit)
+    return Check(name, passed, value, limit, unit, states + ("." if passed else otherwise))
+
+
 def error_check(name: str, what: str, error_95: float, limit: float, unit: str, *, advice: str) -> Check:
     """Return the check of a 95 % error against its limit; a failure's sentence ends with `advice`."""
     passed = error_95 <= limit

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from sightline.calibration import CalibratedView
 from sightline.common.bounded import MAX_TEXT_BYTES
-from sightline.common.checks import Check
+from sightline.common.checks import Check, at_least
 from sightline.common.geometry.covariance import length_quantile
 from sightline.common.geometry.lines import angle_rad
 from sightline.common.tables import read_rows
@@ -167,10 +167,9 @@ class Assessment:
         errors = self.error_mm.ravel()
         square = errors @ np.linalg.solve(self.points.joint_covariance_mm2, errors)
         probability = float(chi2.sf(square, len(errors)))
-        passed = probability >= MIN_PROBABILITY
-        sentence = f"Errors this large have a probability of {probability:.2g} under the covariance stated"
-        sentence += "." if passed else "; check the measured coordinates, the frame's tolerances and the picks."
-        agreement = Check("errors as predicted", passed, probability, MIN_PROBABILITY, "", sentence)
+        states = f"Errors this large have a probability of {probability:.2g} under the covariance stated"
+        otherwise = "; check the measured coordinates, the frame's tolerances and the picks."
+        agreement = at_least("errors as predicted", probability, MIN_PROBABILITY, "", states, otherwise=otherwise)
         return (agreement, *self.points.gap_checks(self.truth.names))
 
     def document(self) -> dict[str, Any]:

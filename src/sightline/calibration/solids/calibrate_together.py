@@ -37,7 +37,7 @@ from sightline.calibration.solids.adjustment import (
 from sightline.calibration.solids.images import MIN_BALLS, DetectorPlateImage, SolidBalls, SolidImage
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PanelCamera
 from sightline.calibration.view import CalibratedView, Residuals
-from sightline.common.checks import FALSE_ALARM, Check
+from sightline.common.checks import FALSE_ALARM, Check, at_most
 from sightline.common.fitting import variance_ratio
 from sightline.common.geometry.covariance import TWO_SIDED_999
 from sightline.common.geometry.planes import Plane
@@ -114,21 +114,19 @@ def _panel_checks(fit: SolidAdjustment, image: int, c_arm: CArm | None) -> list[
     unit, on_plate = fit.images[image].unit, isinstance(fit.images[image], DetectorPlateImage)
     known = c_arm is not None and (on_plate or c_arm.pixel_mm is not None)
     stated = "the stated source-detector distance" if known else "that of usual C-arms"
-    sentence = f"The focal length is {camera.focal_px:.0f} ± {camera.focal_px * sd[FOCAL]:.0f} {unit}"
-    limit = TWO_SIDED_999 * sd_share
-    passed = share <= limit
-    sentence += "." if passed else f", which is not {stated}: check distance and pixel size, and the solid's file."
-    inside = away <= away_limit
+    focal = f"The focal length is {camera.focal_px:.0f} ± {camera.focal_px * sd[FOCAL]:.0f} {unit}"
+    not_stated = f", which is not {stated}: check distance and pixel size, and the solid's file."
     where = "plate {:.0f} mm from the detector's middle" if on_plate else "panel {:.0f} px from the image's middle"
     wrong = (
-        "the plate is not in the middle of the detector, or a file is wrong; put it on straight."
+        ": the plate is not in the middle of the detector, or a file is wrong; put it on straight."
         if on_plate
-        else "the image is cropped, or the solid's file is wrong; give the whole image."
+        else ": the image is cropped, or the solid's file is wrong; give the whole image."
     )
-    centre = f"The beam's axis meets the {where.format(away)}" + ("." if inside else f": {wrong}")
+    centre = f"The beam's axis meets the {where.format(away)}"
+    limit = 100 * TWO_SIDED_999 * sd_share
     return [
-        Check("focal length", passed, 100 * share, 100 * limit, "%", sentence),
-        Check("principal point", inside, away, away_limit, unit, centre),
+        at_most("focal length", 100 * share, limit, "%", focal, otherwise=not_stated),
+        at_most("principal point", away, away_limit, unit, centre, otherwise=wrong),
     ]
 
 

@@ -13,7 +13,7 @@ from sightline.calibration.lengths import CArm
 from sightline.calibration.plates.self_check import MIN_IMAGES, measured_frame
 from sightline.calibration.solids.adjustment import SolidAdjustment
 from sightline.calibration.solids.calibrate_together import adjustment_of, calibrate_together
-from sightline.common.checks import Check
+from sightline.common.checks import Check, at_most
 from sightline.common.geometry.rigid import displacement
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
@@ -117,8 +117,6 @@ def _at_best_fit(frame: Frame, fit: SolidAdjustment) -> tuple[np.ndarray, np.nda
 
 def _error_check(sd_mm: np.ndarray) -> Check:
     rms = float(np.sqrt(np.mean(sd_mm**2)))
-    passed = rms <= MAX_SD_MM
-    sentence = f"The balls are known to {rms:.3f} mm rms per coordinate" + (
-        "." if passed else ": take more images, from directions that differ by 30° and more."
-    )
-    return Check("ball error", passed, rms, MAX_SD_MM, "mm", sentence)
+    states = f"The balls are known to {rms:.3f} mm rms per coordinate"
+    otherwise = ": take more images, from directions that differ by 30° and more."
+    return at_most("ball error", rms, MAX_SD_MM, "mm", states, otherwise=otherwise)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sightline.calibration.bead_checks import handedness_check
-from sightline.common.checks import Check, failed
+from sightline.common.checks import Check, at_least, failed
 from sightline.common.geometry.covariance import TWO_SIDED_999, ellipsoid_factor, length_quantile
 from sightline.common.show import Plotted, Shown, checks_lines, counted, dataframe, numbers
 from sightline.errors import ErrorUnknownError
@@ -228,16 +228,13 @@ def _beads_near(counts: dict[tuple[str, str], tuple[int, int, int]]) -> Check:
     shares = {place: (used + hidden / 2) / max(shown, 1) for place, (used, hidden, shown) in counts.items()}
     view, name = min(shares, key=lambda place: shares[place])
     (used, hidden, shown), share = counts[view, name], shares[view, name]
-    passed = share >= MIN_BEADS_NEAR
-    sentence = f"Of the {shown} beads that the {view} image should show nearest to {name}, {used} are used"
-    sentence += f" and {hidden} hidden" if hidden else ""
-    sentence += (
-        "."
-        if passed
-        else ": the calibration there is extrapolated from other beads. Look for torn rows, movement, or metal over "
+    states = f"Of the {shown} beads that the {view} image should show nearest to {name}, {used} are used"
+    states += f" and {hidden} hidden" if hidden else ""
+    otherwise = (
+        ": the calibration there is extrapolated from other beads. Look for torn rows, movement, or metal over "
         "the beads, and acquire the image again."
     )
-    return Check("beads near", passed, share, MIN_BEADS_NEAR, "", sentence)
+    return at_least("beads near", share, MIN_BEADS_NEAR, "", states, otherwise=otherwise)
 
 
 def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:

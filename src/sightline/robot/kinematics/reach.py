@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sightline.common.checks import Check
+from sightline.common.checks import Check, at_least, at_most
 from sightline.errors import UnusableInputError
 from sightline.robot.kinematics.calibrated import REMOUNT_SD
 from sightline.robot.kinematics.manipulator import Capsule, Manipulator
@@ -178,20 +178,18 @@ def _clearance(obstacle: str, boxes: list[Obstacle], parts: list[Capsule], lines
     left -= STEP_MM / 2  # any position is at most half a step from a checked one
     at, part = np.unravel_index(np.argmin(left), left.shape)
     nearest, share, name = float(left[at, part]), at / max(len(left) - 1, 1), f"{obstacle} clearance"
-    passed = nearest >= CLEARANCE_MM
-    sentence = f"The {parts[part].name} leaves {max(nearest, 0.0):.0f} mm to the {obstacle}, {share:.0%} of the way"
-    sentence += "." if passed else f", at least {CLEARANCE_MM:.0f} are needed: move the robot's base or the {obstacle}."
-    return Check(name, passed, nearest, CLEARANCE_MM, "mm", sentence)
+    states = f"The {parts[part].name} leaves {max(nearest, 0.0):.0f} mm to the {obstacle}, {share:.0%} of the way"
+    otherwise = f", at least {CLEARANCE_MM:.0f} are needed: move the robot's base or the {obstacle}."
+    return at_least(name, nearest, CLEARANCE_MM, "mm", states, otherwise=otherwise)
 
 
 def _remount(surroundings: Surroundings) -> Check:
     repeat = surroundings.remount_mm
     if repeat is None:
         return Check("frame remount", True, None, None, "", "The frame was not taken off since its calibration.")
-    passed = repeat <= REMOUNT_LIMIT_MM
-    sentence = f"The frame was taken off and repeats its place to {repeat:.2f} mm"
-    sentence += "." if passed else f", more than {REMOUNT_LIMIT_MM:g}: calibrate its mount again."
-    return Check("frame remount", passed, repeat, REMOUNT_LIMIT_MM, "mm", sentence)
+    states = f"The frame was taken off and repeats its place to {repeat:.2f} mm"
+    otherwise = f", more than {REMOUNT_LIMIT_MM:g}: calibrate its mount again."
+    return at_most("frame remount", repeat, REMOUNT_LIMIT_MM, "mm", states, otherwise=otherwise)
 
 
 def _box(name: str, T_mcs_cfcs: RigidTransform, low_mm, high_mm) -> Obstacle:
