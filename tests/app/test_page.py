@@ -38,6 +38,7 @@ from sightline.robot.control.states import State
 from sightline.robot.kinematics.target import LIFETIME_S
 from sightline.robot.link.record import SimulatedWire
 
+pytestmark = pytest.mark.slow  # a server, a browser, a robot and images for all of them
 SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that
 # How far a point is from [name, u, v], px.
 _AWAY = "Math.hypot(core.state.points.get(value[0]).uv[0] - value[1], core.state.points.get(value[0]).uv[1] - value[2])"
@@ -543,7 +544,6 @@ def test_the_head_is_fitted_with_its_error_and_a_wire_proposed_by_the_rule(hands
     hands.until("pa", f"{_AWAY} < {2 * SEEN_PX}", ["end", *truth()["end"]["pa"]])
 
 
-@pytest.mark.slow  # another browser
 def test_firefox_places_drags_types_and_undoes_too(hands: Hands, server: Server, tmp_path: Path) -> None:
     path = find_firefox()
     if path is None:
@@ -607,7 +607,6 @@ def test_what_is_typed_before_the_connection_arrives_in_its_order(
 
 
 @needs_posix
-@pytest.mark.slow  # the robot is started, and a live image grows old
 def test_what_is_no_longer_true_says_so_by_itself(hands: Hands, server: Server) -> None:
     """Of a server that does not answer: a live image is marked as old."""
     _planned(hands)
@@ -635,7 +634,6 @@ def test_what_is_no_longer_true_says_so_by_itself(hands: Hands, server: Server) 
     hands.until("pa", "core.state.points.size > 0")  # the plan's image again
 
 
-@pytest.mark.slow  # a wire is drilled, and two more images are rendered
 def test_the_wire_is_drilled_and_verified(
     hands: Hands, server: Server, open_page: Callable[..., Page], folder: Path, place: Path, shoot
 ) -> None:
@@ -737,7 +735,6 @@ def _verify(hands: Hands, folder: Path) -> None:
 # What is kept.
 
 
-@pytest.mark.slow  # a server is started again
 def test_a_plan_outlives_a_second_tab_and_a_killed_server(
     tab: Tab, server: Server, open_page: Callable[..., Page], folder: Path
 ) -> None:

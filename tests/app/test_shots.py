@@ -20,7 +20,6 @@ from sightline.app.session.session import Session
 from sightline.app.session.shots import Shots
 from sightline.app.tab.placing import ProcedureStep
 from sightline.case.journal import Case, Kind
-from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES, SHOT_NAMES
 from sightline.common.checks import Check, failed
 from sightline.errors import RobotRefusedError, UnusableInputError
@@ -177,31 +176,3 @@ def test_a_block_measures_both_shots_on_the_arm_and_on_the_patient(worker: Worke
         assert [one["asked"]["movement"] is None for one in kept] == [False, True, True, False]
         (told,) = [one.content["to"] for one in case.entries(Kind.CHANGED) if one.content["what"] == "second shot"]
         assert told["depth_mm"] == kept[-1]["depth_mm"]
-        again = [one for one in replay(case) if one.outcome is not ReplayOutcome.RECORDED]
-        assert all(one.passed for one in again), [(one.entry.kind, one.said, one.reason) for one in again]
-
-
-@pytest.mark.slow  # images are rendered and calibrated, and a wire is drilled
-def test_plates_on_the_patient_measure_the_depth_at_the_pause(worker: WorkerProcess, tmp_path: Path) -> None:
-    """In its guide the wire is outside the intensifier's field, which is said. Fails for a program that measures plates
-    on the arm, or never measures plates."""
-    patient = Rehearsal.draw(SEED, Frame.load("gamma"))
-
-    async def work() -> None:
-        session = Session.open(tmp_path, "gamma", Patient(SEED), worker)
-        drilling, shots = session.drilling, session.shots
-        await plan_and_send(session, patient)
-        await drilling.align()
-        await wait_for(session, ALIGNED)
-        with pytest.raises(RobotRefusedError, match="with a block or a frame fixed to the patient"):
-            await shots.take_rehearsed()
-        shots.state_on_patient(fixed=True)
-        with pytest.raises(RobotRefusedError, match=r"Decide by eye: .* does not show the robot's wire"):
-            await shots.take_rehearsed()
-        await drilling.drill(State.ALIGNED)
-        await wait_for(session, PAUSED)
-        await measure(session, truth(patient, await take_shot(session, patient, PAUSED)))
-        assert shots.found is not None and shots.found.decision == "GO", _names(shots)
-        await session.close()
-
-    asyncio.run(work())

@@ -128,7 +128,7 @@ def test_an_arm_calibrated_by_images_at_poses_is_registered_by_its_pose(tmp_path
     assert "the wire was planned with another frame file" in done.output.replace("\n", " ")
 
 
-@pytest.mark.parametrize("late_s", [1, 20, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("late_s", [1, 20])
 def test_every_prompt_may_be_answered_late(robot_file, plan, images, tmp_path, monkeypatch, late_s):
     """The robot streams meanwhile, as it does while a shot is measured: a client that does not read it is given up."""
     peer, waits, given = (

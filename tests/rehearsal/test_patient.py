@@ -6,7 +6,7 @@ import pytest
 from sightline.case.views import NAMES
 from sightline.errors import SetUpError
 from sightline.frame import Frame
-from sightline.rehearsal.patient import BONE_OF, LANDMARK_MARGIN_PX, RehearsedPatient, draw_patient
+from sightline.rehearsal.patient import BONE_OF, CANNULATED, LANDMARK_MARGIN_PX, RehearsedPatient, draw_patient
 from sightline.twin.anatomy.bone_model import SphereAid
 
 BLOCK, SEED = Frame.load("block60"), 5
@@ -58,3 +58,16 @@ def test_clicks_on_a_rim_are_tangent_to_the_sphere_away_from_its_cut(patient: Re
 def test_plates_do_not_show_inlet_and_outlet() -> None:
     with pytest.raises(SetUpError, match="inlet, outlet"):
         draw_patient("iliosacral-screw", SEED, Frame.load("gamma"), imaged=False)
+
+
+def test_check_images_show_three_screws_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the views of the plan two of the wires are 2 mm apart."""
+    patient, shown = draw_patient(CANNULATED, SEED, BLOCK, imaged=False), {}
+    monkeypatch.setattr("sightline.rehearsal.patient.render_views", lambda setup, *_: shown.update(setup.views) or {})
+    patient.shown_again({wire.key: mm for wire, mm in zip(patient.document.wires, patient.wires_mm, strict=True)})
+    middle = patient.wires_mm.mean(axis=1)
+    for view in shown.values():
+        uv, along = view.project(middle), view.project(patient.wires_mm[0])[1] - view.project(patient.wires_mm[0])[0]
+        across = uv @ np.array([-along[1], along[0]]) / np.linalg.norm(along)
+        apart = np.diff(np.sort(across)) * view.chain.pitch_mm
+        assert apart.min() > 3.5, apart
