@@ -237,10 +237,7 @@ def rehearsed(run, worked, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("slipped_deg", "code"), [(0.0, 0), (0.5, 3)], ids=["as planned", "an encoder slipped"])
-def test_the_check_shot_judges_where_the_robot_says_all_is_right(
-    run, rehearsed: Path, monkeypatch, slipped_deg: float, code: int
-) -> None:
+def test_the_check_shot_judges_where_the_robot_says_all_is_right(run, rehearsed: Path, monkeypatch) -> None:
     """An encoder that slips after the images shows the robot at its target, and the wire lies millimetres aside."""
     theatre = Rehearsal.theatre
 
@@ -250,29 +247,26 @@ def test_the_check_shot_judges_where_the_robot_says_all_is_right(
 
         def read(*given: bool) -> Reading:
             reading = sample(*given)
-            return replace(reading, encoders=reading.encoders + np.deg2rad(slipped_deg) * (np.arange(5) == YAW))
+            return replace(reading, encoders=reading.encoders + np.deg2rad(0.5) * (np.arange(5) == YAW))
 
         made.plant._sample = read
         return made
 
     monkeypatch.setattr(Rehearsal, "theatre", slips)
     done = robot("drive", rehearsed / "plan", "--rehearse", "9", "--yes", "--case", rehearsed / "case", "--json")
-    assert done.exit_code == code, done.output
+    assert done.exit_code == 3, done.output
     told = json.loads(done.stdout)
     assert told["state"] == "DONE"
-    assert told["verified"] is (code == 0)
+    assert told["verified"] is False
     assert told["check_shot"]["landmarks"] == 3
     off = told["check_shot"]["deviation"]["tip_mm"]
     true_off = np.linalg.norm(told["true_wire_mm"][1] - np.array(told["end_mm"]))
     assert off == pytest.approx(true_off, abs=0.5)
-    assert (off > 3.0) is (code == 3)
-    # Bone bends the wire and squeezes it, and the robot is not as it is known: in air the tip is where encoders say.
-    assert code == 3 or 0.02 < true_off < 1.0
-    report = run("case", "report", rehearsed / "case", "--out", rehearsed / f"report-{code}")
+    assert off > 3.0
+    report = run("case", "report", rehearsed / "case", "--out", rehearsed / "report")
     assert report.code == 0, report.err
-    page = (rehearsed / f"report-{code}" / "report.html").read_text()
-    assert (">NOT CONFIRMED: " in page) is (code == 3)
-    assert (">CONFIRMED: " in page) is (code == 0)
+    page = (rehearsed / "report" / "report.html").read_text()
+    assert ">NOT CONFIRMED: " in page and ">CONFIRMED: " not in page
 
 
 @pytest.mark.parametrize(("serial", "words"), [("none", "side right, frame without a serial"), ("SN-7", "frame SN-7")])
