@@ -30,7 +30,7 @@ TICK_MM = 10.0  # a centimetre, as on a ruler
 _BAND_EVERY = 5  # samples: the band varies as slowly as the map's covariance, over the beads' pitch
 # A click farther than this from the curve was not meant for it: about 8 mm at the hip [ours].
 MAX_SNAP_PX = 25.0
-WIRE_DIAMETER_MM = 2.5  # physics.md, Planning figures [paper]
+WIRE_DIAMETER_MM = 2.5  # physics.md, Planning values [paper]
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ class ProposalRule:
     the body, or before the end of the drawn corridor. `name`: one of RULES. `wire`: key of the wire.
     """
 
-    angle_rad: float = float(np.deg2rad(135.0))  # of the usual plate (physics.md, Planning figures)
+    angle_rad: float = float(np.deg2rad(135.0))  # of the usual plate (physics.md, Planning values)
     under_surface_mm: float = 8.0  # 5 to 10 mm under the subchondral bone (physics.md)
     name: str = "through-head"
     wire: str = ""

@@ -18,7 +18,7 @@ from sightline.imaging.volumes.volume import Volume
 from sightline.twin.anatomy.shapes import blend, ellipsoid_distance, step, texture
 
 VOXEL_MM = 0.75
-SHORT_MM = 8.0  # distance of the ideal wire's tip from the surface of the head: 5-10 mm [physics.md, Planning figures]
+SHORT_MM = 8.0  # distance of the ideal wire's tip from the surface of the head: 5-10 mm [physics.md, Planning values]
 CORTEX_GAP_MM = 3.0  # between a cannulated screw and the neck's surface [ours, typical]
 NARROWEST = 0.96  # radius of the neck where it is narrowest, over `neck_radius_mm`
 # The voxelised box, anatomical coordinates: the part of a hip that a field of 215 mm at the detector can show.
@@ -74,7 +74,7 @@ class Femur:
         """Return entry and end point of the ideal guide wire, anatomical coordinates.
 
         The wire passes the centre of the head at `angle_deg` to the shaft (the paper's 135°), in the plane of the neck,
-        from the lateral surface to `short_mm` below the surface of the head (5-10 mm: physics.md, Planning figures).
+        from the lateral surface to `short_mm` below the surface of the head (5-10 mm: physics.md, Planning values).
         Raises SetUpError if it does not meet the lateral cortex.
         """
         along = neck_axis(angle_deg, self.anteversion_deg)
