@@ -8,7 +8,6 @@ from sightline.twin.anatomy.bone_model import CORTEX, FAR, wrong_wires
 from sightline.twin.scenes.bone_scene import BONES
 
 KINDS = {
-    "pelvis": {FAR, CORTEX, "into the canal", "into the foramen"},
     "vertebra": {FAR, CORTEX, "into the canal"},
     "growing-femur": {FAR, CORTEX},
 }
@@ -17,7 +16,6 @@ KINDS = {
 @pytest.mark.parametrize(
     ("name", "beyond_mm"),
     [
-        pytest.param("pelvis", 2.0, marks=pytest.mark.slow),
         pytest.param("vertebra", 1.5, marks=pytest.mark.slow),
         ("growing-femur", 4.0),
     ],
