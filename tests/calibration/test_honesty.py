@@ -69,15 +69,6 @@ def test_classical_ellipses_cover_nearly_as_they_say():
     assert 0.90 < np.mean(found <= chi2.ppf(0.95, 2)) < 0.99
 
 
-@pytest.mark.slow
-def test_stated_ellipses_cover_as_they_say():
-    found = squares(range(100, 200))
-    for stated in (0.5, 0.95, 0.99):
-        share = np.mean(found <= chi2.ppf(stated, 2))
-        # 200 views, two of a set-up alike in nothing but their tube: 3.5 standard deviations of a share.
-        assert abs(share - stated) < 3.5 * np.sqrt(stated * (1 - stated) / len(found)), stated
-
-
 def test_a_third_step_changes_nothing(monkeypatch):
     rng = np.random.default_rng(3)
     beads = match(measure(rng, draw_setup(rng, GAMMA), SD_PX)["pa"], GAMMA, "pa")
