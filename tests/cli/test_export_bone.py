@@ -82,7 +82,7 @@ def test_a_transform_of_an_untrusted_pose_says_so(run: Callable, pose: Callable,
 
 def test_unknown_formats_and_edited_poses_are_refused(run: Callable, pose: Callable, tmp_path: Path) -> None:
     ran = run("export", "bone", pose(), "--to", "igtl,itk", "--out", tmp_path / "out")
-    assert ran.code == 2 and "'itk' is not a format of a bone; choose from slicer, igtl, ros2" in ran.said
+    assert ran.code == 2 and "there is no format of a bone 'itk'; there are: slicer, igtl, ros2" in ran.said
     edited = pose()
     edited.write_text(edited.read_text().replace("104.7", "105.7"))
     ran = run("export", "bone", edited, "--out", tmp_path / "out")

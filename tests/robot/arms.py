@@ -11,8 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tests.robot.rig import SETUP
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.arms.adapter import JointTrajectory
-from sightline.robot.arms.simulated import SimulatedArm
+from sightline.robot.arms.adapter import JointTrajectory, SimulatedArm
 from sightline.robot.arms.streamed import StreamedArm
 from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot, Mount
 from sightline.robot.kinematics.designs import seven_axis, six_axis

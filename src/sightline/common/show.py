@@ -101,10 +101,10 @@ def dataframe(columns: Mapping[str, Any]) -> "DataFrame":
     return DataFrame(dict(columns))
 
 
-def covariance_columns(covariance: Any, unit: str) -> dict[str, Any]:
-    """Return the variances and the covariance of (N, 2, 2) matrices as columns: suu, suv and svv in `unit` squared."""
+def covariance_columns(covariance_px2: Any) -> dict[str, Any]:
+    """Return the variances and the covariance of (N, 2, 2) matrices as columns: suu, suv and svv, px²."""
     pairs = {"suu": (0, 0), "suv": (0, 1), "svv": (1, 1)}
-    return {f"{name}_{unit}2": covariance[:, i, j] for name, (i, j) in pairs.items()}
+    return {f"{name}_px2": covariance_px2[:, i, j] for name, (i, j) in pairs.items()}
 
 
 def counted(count: int, name: str) -> str:

@@ -98,7 +98,7 @@ class Detections(Plotted):
     def to_dataframe(self) -> "DataFrame":
         """Return a row for each bead: u_px, v_px, radius_px, kind, contrast and covariance. Needs pandas."""
         place = {"u_px": self.uv_px[:, 0], "v_px": self.uv_px[:, 1], "radius_px": self.radius_px}
-        rest = {"kind": self.kind, "contrast": self.contrast, **covariance_columns(self.covariance_px2, "px")}
+        rest = {"kind": self.kind, "contrast": self.contrast, **covariance_columns(self.covariance_px2)}
         return dataframe(place | rest)
 
     def _draw(self, ax: Any) -> None:
@@ -168,7 +168,7 @@ class Observations(Plotted):
     def to_dataframe(self) -> "DataFrame":
         """Return a row for each bead: view, id, u_px, v_px, covariance where it is known. Needs pandas."""
         columns = {"view": [self.view] * len(self), "id": self.ids, "u_px": self.uv_px[:, 0], "v_px": self.uv_px[:, 1]}
-        known = {} if self.covariance_px2 is None else covariance_columns(self.covariance_px2, "px")
+        known = {} if self.covariance_px2 is None else covariance_columns(self.covariance_px2)
         return dataframe(columns | known)
 
     def _draw(self, ax: Any) -> None:

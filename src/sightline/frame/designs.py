@@ -12,6 +12,7 @@ from math import ceil, cos, radians, sin
 import numpy as np
 
 from sightline.common.geometry.planes import Plane
+from sightline.common.strict import named
 from sightline.errors import FrameError
 from sightline.frame.patterns import search
 from sightline.frame.plate import SOURCE_TO_HIP_MM, Fiducial, FrameView, Plate, RigidBody
@@ -205,9 +206,7 @@ BUILTIN = {
 
 def builtin_design(name: str) -> FrameDesign:
     """Return a built-in design by name. Raises FrameError, with the valid names."""
-    if name not in BUILTIN:
-        raise FrameError(f"there is no built-in frame {name!r}; choose one of {', '.join(BUILTIN)}")
-    return BUILTIN[name]
+    return named(name, BUILTIN, "built-in frame", FrameError)
 
 
 Place = tuple[float, float, float]

@@ -1,6 +1,6 @@
 """All studies by name."""
 
-from sightline.errors import UnusableInputError
+from sightline.common.strict import named
 from sightline.studies.budget import Budget
 from sightline.studies.coverage import Coverage
 from sightline.studies.fig13 import Figure13
@@ -28,6 +28,4 @@ STUDIES: dict[str, Study] = {study.name: study for study in _ALL}
 
 def study_called(name: str) -> Study:
     """Return the study of this name. Raises UnusableInputError, which lists all studies."""
-    if name not in STUDIES:
-        raise UnusableInputError(f"there is no study {name!r}; there are: {', '.join(STUDIES)}")
-    return STUDIES[name]
+    return named(name, STUDIES, "study")

@@ -24,14 +24,12 @@ def bone(
     from sightline.case.interop.bone import FORMATS
     from sightline.case.saved import load
     from sightline.common.atomic import write_folder
-    from sightline.errors import UnusableInputError
+    from sightline.common.strict import named
     from sightline.planning.bone.registered import RegisteredBone
 
-    formats = [name.strip() for name in to.split(",")]
-    if unknown := [name for name in formats if name not in FORMATS]:
-        raise UnusableInputError(f"{unknown[0]!r} is not a format of a bone; choose from {', '.join(FORMATS)}")
+    writers = {name: named(name, FORMATS, "format of a bone") for name in map(str.strip, to.split(","))}
     found = load(path, RegisteredBone)
-    files = {f"{name}/{file}": data for name in formats for file, data in FORMATS[name](found).items()}
+    files = {f"{name}/{file}": data for name, write in writers.items() for file, data in write(found).items()}
     written = write_folder(out, files)
     output.written(written)
     output.result({"trusted": found.trusted, "files": written}, found.checks)

@@ -11,7 +11,7 @@ from sightline.detection.labelling.cloud_match import Labelling, converge
 from sightline.detection.labelling.cloud_search import Problem, Search, promising
 from sightline.detection.labelling.growth import grow
 from sightline.detection.labelling.patterns import Pattern
-from sightline.detection.labelling.seeds import MAX_SEEDS, find_seeds
+from sightline.detection.labelling.seeds import find_seeds
 from sightline.detection.labelling.solve import AttemptError, LabellingProblem, Stage, solve_alone
 from sightline.detection.results import Detections
 from sightline.errors import LabellingRefusedError, UnusableInputError
@@ -277,7 +277,7 @@ def label_plate(detections: Detections, usable: np.ndarray, pattern: Pattern) ->
         "no datum markers of the plate on the detector are found among the beads; check that the plate is on the "
         "detector, or use the frame without it ('block30', not 'block30+detector-plate')",
     )
-    for seed in find_seeds(detections, [pattern], usable, MAX_SEEDS):
+    for seed in find_seeds(detections, [pattern], usable):
         grown = grow(seed, detections, usable)
         if len(grown) < MIN_BEADS:
             continue

@@ -9,7 +9,7 @@ from sightline.common.threads import one_blas_thread
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, detector_pattern, patterns
-from sightline.detection.labelling.seeds import MAX_SEEDS, Seed, best_similarity, find_seeds
+from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
 from sightline.detection.labelling.solve import (
     MIN_BEADS,
     AttemptError,
@@ -200,7 +200,7 @@ def _lattices(problem: LabellingProblem, usable: np.ndarray, most: int) -> Itera
     every = [pattern for couple in problem.couples for pattern in couple]
     known: list[Grown] = []
     tried = 0
-    for seed in find_seeds(problem.detections, every, usable, MAX_SEEDS):
+    for seed in find_seeds(problem.detections, every, usable):
         if len(known) == most or tried == MAX_GROWN:
             return
         if any(_is_known(seed, lattice) for lattice in known):

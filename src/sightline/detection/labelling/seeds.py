@@ -260,8 +260,8 @@ def _search(beads, plate, rows, log_side, best):  # noqa: PLR0912 - a kernel
                                     _offer(triple, plate, beads, best)
 
 
-def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray, most: int) -> Iterator[Seed]:
-    """Yield the `most` best seeds of each plate among the `usable` (N,) detections, best first.
+def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray) -> Iterator[Seed]:
+    """Yield the MAX_SEEDS best seeds of each plate among the `usable` (N,) detections, best first.
 
     The very best of all plates, which usually suffices, is searched for alone: far fewer triples can still become it.
     """
@@ -272,7 +272,7 @@ def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarr
     washer = np.array(detections.kind, dtype=object) == "washer"
     kinds = {pattern.datum_kind for pattern in patterns}
     may_be = {kind: _may_be_datums(detections.radius_px, washer, kind, usable) for kind in kinds}
-    for count, ranks in ((1, slice(1)), (most, slice(1, None))):
+    for count, ranks in ((1, slice(1)), (MAX_SEEDS, slice(1, None))):
         for seed in _best_seeds(beads, patterns, may_be, count)[ranks]:
             if seed.similarity.rotation != 0:  # 0: so far from the image that rounding removes its pixels
                 yield seed

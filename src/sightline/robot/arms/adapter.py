@@ -1,5 +1,7 @@
 """Interface between the link's machine and an arm whose own controller follows trajectories."""
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -7,7 +9,8 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.plant import Reading
+from sightline.robot.kinematics.manipulator import Manipulator
+from sightline.robot.plant import PlantFlag, Reading
 
 # A trajectory is sent every SEND_S, as ros2_control's servo does. None is longer than REST_S: an arm whose commander
 # dies is then at rest, without a watchdog of its own. HOLD_S: from the pace of a trajectory to rest [ours].
@@ -86,3 +89,39 @@ def decelerated(path: CubicHermiteSpline, since_s: float) -> CubicHermiteSpline:
     """Return the path (n,) over time from where `path` is after `since_s`, at its pace there, to rest after HOLD_S."""
     q, pace = path(since_s), path(since_s, 1)
     return CubicHermiteSpline([0.0, HOLD_S], np.stack([q, q + HOLD_S / 2 * pace]), np.stack([pace, 0 * pace]))
+
+
+class SimulatedArm:
+    """An arm that does exactly what it is told, without physics: `robot` at the joints `q` (n,) at first.
+
+    `clock`: in s.
+    """
+
+    def __init__(self, robot: Manipulator, q: np.ndarray, clock: Callable[[], float] = time.monotonic) -> None:
+        self.joints, self._rotary, self._clock = robot.joints, robot.rotary, clock
+        self._begin(CubicHermiteSpline([0.0, 1.0], np.stack([q, q]), np.zeros((2, robot.count))))
+
+    def state(self) -> Reading:
+        """See ArmAdapter."""
+        now_s = self._clock()
+        return Reading(now_s, self._at(now_s), 0.0, PlantFlag.RUN_HELD)
+
+    def follow(self, trajectory: JointTrajectory) -> None:
+        """See ArmAdapter."""
+        self._begin(checked(trajectory, self.joints, self._at(self._clock()), self._rotary))
+
+    def hold(self) -> None:
+        """See ArmAdapter."""
+        self._begin(decelerated(self._path, self._since_s(self._clock())))
+
+    def close(self) -> None:
+        """See ArmAdapter."""
+
+    def _begin(self, path: CubicHermiteSpline) -> None:
+        self._path, self._begun_s = path, self._clock()
+
+    def _at(self, now_s: float) -> np.ndarray:
+        return self._path(self._since_s(now_s))
+
+    def _since_s(self, now_s: float) -> float:
+        return min(now_s - self._begun_s, float(self._path.x[-1]))

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from sightline.errors import RobotRefusedError, SetUpError
-from sightline.robot.arms.adapter import ArmAdapter
+from sightline.robot.arms.adapter import ArmAdapter, SimulatedArm
 from sightline.robot.kinematics.manipulator import Manipulator
 
 Controlled = Literal["sim", "franka", "ros2"]
@@ -38,6 +38,4 @@ def _arm(kind: Controlled, address: str, robot: Manipulator, start: np.ndarray) 
             return Ros2Arm(address, robot.joints, robot.lower, robot.upper, robot.rotary)
     except ImportError as error:
         raise SetUpError(f"this arm needs more to be installed: pip install 'sightline[{kind}]'") from error
-    from sightline.robot.arms.simulated import SimulatedArm
-
     return SimulatedArm(robot, start)

@@ -4,13 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sightline.common.strict import named
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin.objects.things import CENTRE, RADIUS, Rod, Scene, SoftTissue, Solid, pack, stations
 from sightline.twin.scenes.hip_scene import hip_scene
 from sightline.twin.xray.distributions import HardScene
-from sightline.twin.xray.render import DOSES, SCATTER_MM, Dose, Exposure, Projection, project
+from sightline.twin.xray.render import DOSES, SCATTER_MM, Exposure, Projection, project
 from sightline.twin.xray.setup import SetUp, ViewTruth, draw_setup, shadow_centres_px, shadow_radius_px
 
 
@@ -65,7 +66,7 @@ def hard_scene(
     it. `dose_class`: "low", "medium", "high" (`render.DOSES`). `even_scatter`, `scatter_mm`: as in `expose`; the
     defaults give the scenes on which detection was first tuned. Raises SetUpError.
     """
-    _dose(dose_class)
+    named(dose_class, DOSES, "dose class", SetUpError)
     return hard_view(rng, frame, spread, chain=chain).exposed(
         rng, dose_class, even_scatter=even_scatter, scatter_mm=scatter_mm
     )
@@ -89,7 +90,7 @@ class HardView:
         scatter_mm: float = SCATTER_MM,
     ) -> tuple[Radiograph, BeadTruth]:
         """Draw its image, and return it with the truth of its beads. Raises SetUpError."""
-        dose = replace(_dose(dose_class), level=self.level)
+        dose = replace(DOSES[dose_class], level=self.level)
         exposure = self.projection.exposed(dose, even_scatter=even_scatter, scatter_mm=scatter_mm)
         image = exposure.read_out(rng)
         return image, bead_truth(self.setup, self.projection.view, self.scene, exposure)
@@ -131,12 +132,6 @@ def _hard_scene(rng: np.random.Generator, spread: HardScene, setup: SetUp) -> Sc
     body, scale = SoftTissue().around(setup.hip_mm), rng.uniform(*spread.tissue_scale)
     half = (body.half_mm[0] * scale, body.half_mm[1] * scale)
     return replace(hip, solids=hip.solids + _metal(rng, spread, setup.hip_mm), tissue=replace(body, half_mm=half))
-
-
-def _dose(dose_class: str) -> Dose:
-    if dose_class not in DOSES:
-        raise SetUpError(f"there is no dose class {dose_class!r}; there are: {', '.join(DOSES)}")
-    return DOSES[dose_class]
 
 
 def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) -> BeadTruth:

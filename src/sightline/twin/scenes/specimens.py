@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from sightline.common.strict import named
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph
@@ -284,9 +285,7 @@ def with_accessories(specimen: Specimen, names: Sequence[str], rng: np.random.Ge
     """
     scene = specimen.scene
     for name in names:
-        if name not in ACCESSORIES:
-            raise UnusableInputError(f"there is no accessory {name!r}; there are: {', '.join(ACCESSORIES)}")
-        scene += ACCESSORIES[name](specimen, rng)
+        scene += named(name, ACCESSORIES, "accessory")(specimen, rng)
     return replace(specimen, scene=scene, truth={**specimen.truth, "with": list(names)})
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.errors import UnusableInputError
+from sightline.common.strict import named
 from sightline.frame.plate import FIELD_DIAMETER_MM
 from sightline.imaging.volumes.beam import THREE
 
@@ -146,6 +146,4 @@ PRESETS = {chain.name: chain for chain in CHAINS}
 
 def preset(name: str) -> ImageChain:
     """Return the image chain called `name`. Raises UnusableInputError, which lists the valid names."""
-    if name not in PRESETS:
-        raise UnusableInputError(f"there is no image chain {name!r}; there are: {', '.join(PRESETS)}")
-    return PRESETS[name]
+    return named(name, PRESETS, "image chain")

@@ -11,7 +11,8 @@ from typing import TypeAlias
 import numpy as np
 
 from sightline.common.geometry.covariance import factor_of
-from sightline.errors import SetUpError, UnusableInputError
+from sightline.common.strict import named
+from sightline.errors import SetUpError
 from sightline.twin.xray.distributions import Distortion
 from sightline.twin.xray.intensifier import DistortionMap, DistortionPrior, Intensifier, RandomField, disc_mm, monomials
 from sightline.twin.xray.presets import ImageChain
@@ -202,9 +203,7 @@ class Site:
 
 def earth_ut(place: str, heading: float) -> np.ndarray:
     """Return the geomagnetic field (3,), CFCS, µT. Raises UnusableInputError, which lists the valid places."""
-    if place not in PLACES:
-        raise UnusableInputError(f"there is no place {place!r}; there are: {', '.join(PLACES)}")
-    east, north, up = PLACES[place]
+    east, north, up = named(place, PLACES, "place")
     c, s = np.cos(heading), np.sin(heading)
     return np.array([north * c + east * s, north * s - east * c, up])
 
