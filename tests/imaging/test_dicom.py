@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
+from struct import pack
 from threading import Event
 from typing import Any
 
@@ -318,6 +319,20 @@ def test_a_run_gives_the_frame_that_is_named_and_is_refused_without(tmp_path: Pa
     for index in (3, -1):
         with pytest.raises(ImageError, match="frames 0 to 2"):
             read_image(path, index)
+
+
+def test_a_run_of_a_thousand_large_frames_is_read_by_the_frame(tmp_path: Path) -> None:
+    frame = scene(shape=(1024, 1024))
+    out = dataset(frame, 12, tmp_path)
+    out.NumberOfFrames = 1000
+    path = saved(out, tmp_path)
+    start = path.stat().st_size - frame.nbytes
+    with path.open("rb+") as file:
+        file.truncate(start + 1000 * frame.nbytes)  # takes no room on the disk
+        for at, data in ((start - 4, pack("<I", 1000 * frame.nbytes)), (start + 900 * frame.nbytes, frame.tobytes())):
+            file.seek(at)
+            file.write(data)
+    np.testing.assert_array_equal(read_image(path, 900).pixels, frame)
 
 
 def test_frames_that_are_not_counted_are_refused_and_bytes_after_a_frame_are_not(tmp_path: Path) -> None:

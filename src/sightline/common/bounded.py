@@ -15,7 +15,8 @@ from sightline.errors import UnusableInputError
 # Size limits [ours]: far above what programs write, far below what exhausts the memory of a machine.
 MAX_TEXT_BYTES = 2**22  # of tables and of small documents: forty thousand beads
 MAX_JSON_BYTES = 2**26  # of results, plans and frames: six times the full covariance of a built-in frame
-MAX_FILE_BYTES = 2**30  # of images: a run of 500 frames of 1024² at 16 bit
+MAX_FILE_BYTES = 2**30  # of files that are read whole
+MAX_RUN_BYTES = 2**32 - 2  # of DICOM runs, which are read by the frame: their length has 32 bits [PS3.5, 7.1]
 MAX_PIXELS = 2**25  # of one image: twice a 43 cm flat panel at 0.105 mm
 
 

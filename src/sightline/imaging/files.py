@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from sightline.common.atomic import write_whole
-from sightline.common.bounded import MAX_FILE_BYTES, npy_array, read_bounded
+from sightline.common.bounded import MAX_FILE_BYTES, MAX_RUN_BYTES, npy_array, read_bounded
 from sightline.errors import ImageError, UnusableInputError
 from sightline.imaging.formats import (
     FORMAT_NAMES,
@@ -134,7 +134,7 @@ def _format(file: Path) -> ImageFormat | None:
     """Return the format of a file that is neither empty nor too large. Raises ImageError."""
     try:
         size = file.stat().st_size
-        if file.is_file() and 0 < size <= MAX_FILE_BYTES:
+        if file.is_file() and 0 < size <= MAX_RUN_BYTES:
             return format_of_file(file)
     except OSError as error:
         raise ImageError(f"cannot read {file.name}: {error.strerror}") from error
@@ -142,7 +142,7 @@ def _format(file: Path) -> ImageFormat | None:
         raise ImageError(f"{file.name} is a folder or a device, not a file; name one image file")
     if size == 0:
         raise ImageError(f"{file.name} is empty; export the image again")
-    raise ImageError(f"{file.name} has {size} bytes; the limit is {MAX_FILE_BYTES}: export single images")
+    raise ImageError(f"{file.name} has {size} bytes; the limit is {MAX_RUN_BYTES}: export single images")
 
 
 def _numpy(data: bytes, name: str) -> np.ndarray:

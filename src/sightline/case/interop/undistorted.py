@@ -29,7 +29,7 @@ from pydicom.uid import (
 from sightline.calibration.maps.grid import GridMap, Undistorter
 from sightline.case.interop.dicom import ExportIdentity, dataset
 from sightline.common.atomic import sync_folder, write_whole
-from sightline.common.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, read_bounded
+from sightline.common.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, MAX_RUN_BYTES, read_bounded
 from sightline.errors import ImageError, UnusableInputError
 from sightline.imaging import Radiograph, read_image
 from sightline.imaging.dicom import file_bytes, fill, with_pixels
@@ -39,7 +39,6 @@ from sightline.imaging.sources import luma
 
 RECORD = "undistorted.json"
 MAX_FRAMES = 100_000  # [ours] of one run: an hour at 25 a second
-MAX_RUN_BYTES = 2**32 - 2  # of the pixels of one DICOM file: their length has 32 bits [PS3.5, 7.1]
 _SAMPLE_BYTES = 2**16  # from the middle of each file, where the noise of two exposures differs [ours]
 _WORKERS, _AHEAD = 2, 4  # threads, and frames that wait for their turn: a frame in memory is 2 MB [ours]
 # Without compression and prediction: a PNG of 1024² at 16 bit takes 4 ms instead of 65, a TIFF 1 instead of 32
