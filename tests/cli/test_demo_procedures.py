@@ -38,6 +38,9 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
         assert f"{'PA' if view.name == 'pa' else view.name} image" in page
     if procedure == "pedicle-screw":
         assert not [word for word in HIP_WORDS if word in page]
+        nameless = run("calibrate", tmp_path / "demo/demo_pa.dcm", "--frame", "block60", "--json")
+        assert nameless.code != 0 and "say which view the image is, --view" in nameless.out
+        assert "as many as a block has" in run("calibrate", tmp_path / "demo/demo_pa.dcm").said
     with Case.open(tmp_path / "demo" / "case", read_only=True) as case:
         assert case.latest(Kind.VERIFIED) is not None
         made = list(replay(case)) if procedure == REPLAYED else []
@@ -63,39 +66,6 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
         assert events[:5] == ["contact", "cortex", "break-through", "cortex", "break-through"]
         assert events[5:] in ([], ["planned depth"])  # where the far cortex ends less than 3 mm before it
         assert drilling["record"]["events"][0]["depth_mm"] < -5.0  # before the nail
-
-
-@pytest.mark.slow
-def test_the_demo_with_a_block_is_ten_times_as_accurate_as_the_paper(run, tmp_path) -> None:
-    """One patient: with exact picks both ends within 0.1 mm; each end within 1.5 times its stated 95 % error. The wire
-    is drilled near the plan; images of the robot's wire would tell it better where it stands."""
-    ran = run("demo", "--frame", "block60", "--out", tmp_path / "demo", "--json")
-    assert ran.code == 0, ran.err
-    told, trajectory = ran.document, ran.document["trajectory"]
-    assert told["go"] is True
-    truth, drilled = (json.loads((tmp_path / f"demo/{name}.json").read_text()) for name in ("truth", "drilling"))
-    for name in ("entry", "end"):
-        off = np.linalg.norm(np.subtract(trajectory[f"{name}_mm"], truth[f"{name}_mm"]))
-        assert off < 1.5 * trajectory["error_95"][f"{name}_mm"] < 0.6
-    exact = next(one for one in told["comparison"] if "exactly" in one["picks"])
-    assert max(exact["error"]["entry_mm"], exact["error"]["end_mm"]) < 0.1
-    check, (against_plan, _, against_picks) = drilled["check_shot"], drilled["physics"]
-    assert check["passed"] is True
-    for point in ("entry_mm", "tip_mm"):
-        assert against_plan[point] < 1.5 * drilled["error_95"][point] < 1.5
-        assert drilled["by_images"]["error_95"][point] < 0.9 * drilled["error_95"][point]
-        assert abs(against_picks[point] - check["deviation"][point]) < 1.5 * check["error_95"][point]
-    shots, record = drilled["shots"], drilled["record"]
-    assert {state: one["decision"] for state, one in shots.items()} == {"ALIGNED": "GO", "PAUSED": "GO"}
-    assert -20.5 < shots["ALIGNED"]["depth_mm"] < -19.5
-    # The shot's depth was sent: what the robot knows of its depth is then mainly that of the shot.
-    assert max(record["depth_sd_mm"]) > 0.3 and record["depth_sd_mm"][-1] < shots["PAUSED"]["depth_sd_mm"] < 0.15
-    assert abs(against_plan["entry_mm"] - shots["PAUSED"]["deviation"]["entry_mm"]) < 0.3
-    report = (tmp_path / "demo/report.html").read_text()
-    assert all(words in report for words in ("registered by images", "The shot at PAUSED says GO", "second shot, PA"))
-    plan = run("calibrate", tmp_path / "demo/demo_pa.dcm", "--frame", "block60", "--json")
-    assert plan.code != 0 and "say which view the image is, --view" in plan.out
-    assert "as many as a block has" in run("calibrate", tmp_path / "demo/demo_pa.dcm").said
 
 
 @pytest.mark.slow
