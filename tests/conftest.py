@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 from sightline.cli import commands
 from sightline.frame import Frame
 from sightline.twin import SetUp, draw_setup
+from sightline.twin.xray.setup import chain_for
 
 # Typer builds every command anew for each call, which takes longer than most calls that are refused.
 testing._get_command = cache(testing._get_command)
@@ -46,6 +48,15 @@ def shared(tmp_path_factory: pytest.TempPathFactory, name: str) -> Path:
     folder = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / name
     folder.mkdir(exist_ok=True)
     return folder
+
+
+@pytest.fixture(scope="module")
+def few_pixels() -> Iterator[None]:
+    """From here on the images of blocks come from a panel of fewer pixels."""
+    with pytest.MonkeyPatch.context() as patch:
+        few = lambda frame: chain_for(frame) if frame.solid is None else "flat-panel-0.3"  # noqa: E731
+        patch.setattr("sightline.twin.xray.setup.chain_for", few)
+        yield
 
 
 @pytest.fixture(scope="session")

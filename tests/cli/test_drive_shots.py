@@ -101,7 +101,7 @@ class Planned:
 
 
 @pytest.fixture(scope="module")
-def planned(run, tmp_path_factory: pytest.TempPathFactory) -> Planned:
+def planned(run, few_pixels: None, tmp_path_factory: pytest.TempPathFactory) -> Planned:
     folder, rng = tmp_path_factory.mktemp("drive"), np.random.default_rng(3)
     hip = draw_setup(np.random.default_rng(0), BLOCK).hip_mm
     wire, marks = np.stack([ENTRY_MM, END_MM]) + hip, MARKS_MM + hip
