@@ -16,7 +16,7 @@ TRIES = {"points": 1, "images": 1, "files": 2, "robots": 1, "kills": 1, "pages":
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TRIES)
-def test_no_try_ends_in_a_defect(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_try_ends_in_a_defect(name: str, few_pixels: None, monkeypatch: pytest.MonkeyPatch) -> None:
     # Four patients, each of which is rendered: right hips, two with each frame.
     base = images.base
     monkeypatch.setattr(images, "BASES", 8)

@@ -111,7 +111,7 @@ def _known(patient: RehearsedPatient, kind: str) -> dict[str, Pixels]:
 
 @pytest.mark.slow  # images are rendered and calibrated
 def test_a_person_who_knows_only_the_screen_plans_the_wire(
-    serve: Callable[..., Server], open_page: Callable[..., Page], tmp_path: Path, shoot
+    serve: Callable[..., Server], open_page: Callable[..., Page], few_pixels: None, tmp_path: Path, shoot
 ) -> None:
     """Fails where an image has the name of another procedure's view, where its markers do not tell, where the way to GO
     ends at a button that cannot be pressed, and where a text is cut once its point is placed."""

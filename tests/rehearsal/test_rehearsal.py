@@ -156,7 +156,7 @@ def test_images_that_are_taken_again_show_another_place_of_the_c_arm(
 
 
 @pytest.mark.slow
-def test_an_arm_that_holds_a_guide_stands_at_the_block_without_a_wire_in_the_images():
+def test_an_arm_that_holds_a_guide_stands_at_the_block_without_a_wire_in_the_images(few_pixels):
     pytest.importorskip("mujoco")
     rehearsed = Rehearsal.draw(SEED, Frame.load("block60"), arm="six-axis")
     assert rehearsed.robot_wire_mm is None
