@@ -72,7 +72,7 @@ def test_one_source_is_asked_for(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def sample(tmp_path_factory) -> Path:
+def sample(few_pixels: None, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("arm")
     assert run("calibrate", "--simulated", folder).exit_code == 0
     return folder

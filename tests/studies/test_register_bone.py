@@ -14,7 +14,7 @@ SOLID = RegisterBone(frames=("block60",))
 
 
 @pytest.mark.slow
-def test_a_bone_is_registered_to_the_images_of_its_hip() -> None:
+def test_a_bone_is_registered_to_the_images_of_its_hip(few_pixels: None) -> None:
     trial = SOLID.trial(np.random.default_rng([2, 1]))
     assert json.loads(json.dumps(trial)) == trial
     pose = trial["block60"]
