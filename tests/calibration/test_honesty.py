@@ -11,14 +11,13 @@ from sightline.calibration import calibrate
 from sightline.calibration.plates import joint
 from sightline.calibration.plates.beads import match
 from sightline.calibration.plates.joint import fit_jointly
-from sightline.errors import OutsideRegionError
 from sightline.studies.scenes import measure
 from sightline.twin import draw_setup
 
 SD_PX = 0.1
 
 
-def squares(seeds, method="smooth", **options):
+def squares(seeds):
     """Squared error of a line at a target, in units of its stated covariance, for each view of each set-up."""
     out = []
     for seed in seeds:
@@ -27,11 +26,7 @@ def squares(seeds, method="smooth", **options):
         target = rng.uniform(-25.0, 25.0, (1, 3))
         seen = measure(rng, setup, SD_PX)
         for name, truth in setup.views.items():
-            view = calibrate(seen[name], GAMMA, method=method, **options)
-            try:
-                lines = view.lines_of_sight(truth.project(target))
-            except OutsideRegionError:  # the localized method does not extrapolate
-                continue
+            lines = calibrate(seen[name], GAMMA).lines_of_sight(truth.project(target))
             plane, focal = lines.plane, lines.focal_point_mm
             gap = lines.xy_mm[0] - plane.central_projection(focal, target)[0]
             moved = [plane.central_projection(focal + 1e-3 * e, target)[0] for e in np.eye(3)]
@@ -61,12 +56,6 @@ def test_what_a_classical_map_misses_is_what_is_stated(method, degree):
     stated = np.sqrt(np.diag(lines.covariance["map"] + lines.covariance["beads"])[3:].mean())
     assert missed > 0.02
     assert stated == pytest.approx(missed, rel=0.35)
-
-
-@pytest.mark.slow
-def test_classical_ellipses_cover_nearly_as_they_say():
-    found = squares(range(100, 130), "polynomial", degree=5)
-    assert 0.90 < np.mean(found <= chi2.ppf(0.95, 2)) < 0.99
 
 
 def test_a_third_step_changes_nothing(monkeypatch):
