@@ -112,6 +112,9 @@ def test_what_cannot_be_registered_is_refused_with_its_cause() -> None:
     far = BoneStart(RigidTransform.from_translation([0.0, 0.0, -5000.0]))
     with pytest.raises(UnusableInputError, match="place of the start"):
         register_bone(bone, images, scene.views, far)
+    beside = RigidTransform.from_translation([24.0, 0.0, 0.0]) * balls.POSE  # further than the start says
+    with pytest.raises(UnusableInputError, match="within 20 mm of the start"):
+        register_bone(bone, images, scene.views, BoneStart(beside))
     soft = balls.scan()
     soft.hu[:] = 30
     with pytest.raises(UnusableInputError, match="no bone"):

@@ -13,7 +13,7 @@ from sightline.from_images.registration.checks import checks
 from sightline.from_images.registration.movement import apart
 from sightline.from_images.registration.observed import BoneShot
 from sightline.from_images.registration.result import BonePose
-from sightline.from_images.registration.search import BoneStart, search, started
+from sightline.from_images.registration.search import BoneStart, search
 from sightline.imaging import Radiograph
 from sightline.imaging.volumes import CtScan, filled, read_ct, read_mesh
 from sightline.imaging.volumes.filled import CORTEX_MM
@@ -56,7 +56,7 @@ def register_bone(
     """
     seen = [view.view() if isinstance(view, Pinhole) else view for view in views]
     shots, bone = _shots(images, seen), _bone(volume)
-    fits = search(shots, bone, started(shots, bone, start))
+    fits = search(shots, bone, start)
     best = fits[0]
     centre, spread = best.pose.apply(bone.centre_mm), best.pose.rotation.apply(bone.spread_mm)
     shown, calibration = errors.of_images(best.views), errors.of_calibration(seen, centre, spread)

@@ -32,7 +32,7 @@ from sightline.imaging.volumes.volume import Volume
 # off; how many places of them are refined; and fits that are kept after each level. Without a start a few steps sort
 # what the correlation alone does not: the right place of a pelvis may come 110th of 4,000, and then 27th.
 _NEAR, _ALL = 100, 4000
-_REFINED_NEAR, _REFINED_ALL = 8, 300
+_REFINED_NEAR, _REFINED_ALL = 40, 300
 _LEVELS = (replace(COARSE, rounds=3), 40), (COARSE, 16), (MIDDLE, 4), (FINE, 2)
 _APART_MM = 25.0  # between places tried of one rotation: a neighbour such as the next vertebra may match better [ours]
 _FIELD_MM = 150.0  # without a start the bone lies at most so far from where the images' middles meet [ours]
@@ -46,6 +46,16 @@ class BoneStart:
     shift_mm: float = 10.0
     turn_rad: float = np.deg2rad(10.0)
 
+    @property
+    def reach_mm(self) -> float:
+        """How far the centre may be off, with a margin: a vertebra's neighbour, which may fit too, is further."""
+        return 2 * self.shift_mm
+
+    def reaches(self, pose: RigidTransform, bone: ScannedBone) -> bool:
+        """Return whether a pose may be that of the bone."""
+        off = pose.apply(bone.centre_mm) - self.pose.apply(bone.centre_mm)
+        return bool(np.linalg.norm(off) <= self.reach_mm)
+
     def turned(self, bone: ScannedBone) -> list[RigidTransform]:
         """Return poses within reach of the rotation, the given one first."""
         ways = 2 * qmc.Halton(3, scramble=False).random(_NEAR) - 1
@@ -54,7 +64,7 @@ class BoneStart:
         return [moved(self.pose, np.append(self.turn_rad * way, np.zeros(3)), centre) for way in ways]
 
 
-def started(shots: Sequence[BoneShot], bone: ScannedBone, start: BoneStart | None) -> list[RigidTransform]:
+def _started(shots: Sequence[BoneShot], bone: ScannedBone, start: BoneStart | None) -> list[RigidTransform]:
     """Return poses to refine. Raises UnusableInputError where no view shows the place of the start."""
     if start is None:
         at = meeting((shot.view, shot.middle_px) for shot in shots)
@@ -62,7 +72,7 @@ def started(shots: Sequence[BoneShot], bone: ScannedBone, start: BoneStart | Non
         poses = [RigidTransform.from_components(at - turn.apply(bone.centre_mm), turn) for turn in turns]
         found = _shifted(shots, bone, poses, _FIELD_MM)[:_REFINED_ALL]
     else:
-        found = _shifted(shots, bone, start.turned(bone), 2 * start.shift_mm)[:_REFINED_NEAR]
+        found = _shifted(shots, bone, start.turned(bone), start.reach_mm)[:_REFINED_NEAR]
     if not found:
         raise UnusableInputError(
             "the views do not show the place of the start; check that they are these images' views"
@@ -89,13 +99,22 @@ def meeting(seen: Iterable[tuple[CalibratedView, np.ndarray]]) -> np.ndarray:
     )
 
 
-def search(shots: Sequence[BoneShot], bone: ScannedBone, poses: Iterable[RigidTransform]) -> list[BoneFit]:
-    """Return the different fits that are reached from `poses` on the finest images, best first."""
-    fits: list[BoneFit] = []
+def search(shots: Sequence[BoneShot], bone: ScannedBone, start: BoneStart | None) -> list[BoneFit]:
+    """Return the different fits on the finest images, best first: near a start, or of all rotations.
+
+    Raises UnusableInputError where no view shows the place of the start, or nothing near it fits.
+    """
+    poses, fits = _started(shots, bone, start), list[BoneFit]()
     for level, kept in _LEVELS:
-        fits = [align(shots, bone, level, pose) for pose in poses]
-        fits = _distinct(sorted(fits, key=lambda fit: -fit.evidence), bone, 2 * level.spacing_mm)[:kept]
+        aligned = [align(shots, bone, level, pose) for pose in poses]
+        near = [fit for fit in aligned if start is None or start.reaches(fit.pose, bone)]
+        fits = _distinct(sorted(near, key=lambda fit: -fit.evidence), bone, 2 * level.spacing_mm)[:kept]
         poses = [fit.pose for fit in fits]
+    if not fits and start is not None:
+        raise UnusableInputError(
+            f"nothing fits within {start.reach_mm:g} mm of the start: check that CT or mesh are of this bone and this "
+            "side, that each image has its own view, and give a nearer start, or none"
+        )
     return fits
 
 
