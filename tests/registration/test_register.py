@@ -70,13 +70,21 @@ def test_three_views_are_as_good_as_two() -> None:
     assert errors_mm(pose).max() < 0.15
 
 
-@pytest.mark.parametrize("along", ["second beam", "across"])
-def test_movement_between_the_images_is_noticed(along: str) -> None:
-    """Along the second beam no picks show it."""
-    views = balls.Scene().views
-    beams = [view.focal_point_mm / np.linalg.norm(view.focal_point_mm) for view in views]
-    way = {"second beam": 8.0 * beams[1], "across": 1.5 * np.cross(*beams)}[along]
+@pytest.mark.parametrize(("share", "noticed"), [(0.4, False), (1.6, True)])
+def test_movement_along_a_beam_is_noticed_from_where_the_check_states(share: float, noticed: bool) -> None:
+    """No picks show it."""
+    check = next(check for check in found().checks if check.code is CheckCode.BONE_MOVEMENT)
+    hidden_mm = check.limit / found().apart.sigma_per_mm
+    assert f"a shift of {hidden_mm:.0f} mm along a beam may not be noticed" in check.sentence
+    focal = balls.Scene().views[1].focal_point_mm
+    way = share * hidden_mm * focal / np.linalg.norm(focal)
     pose = found(balls.Scene().moved(RigidTransform.from_translation(way)))
+    assert (CheckCode.BONE_MOVEMENT in codes(pose)) is noticed, pose
+
+
+def test_movement_across_both_beams_is_noticed() -> None:
+    beams = [view.focal_point_mm / np.linalg.norm(view.focal_point_mm) for view in balls.Scene().views]
+    pose = found(balls.Scene().moved(RigidTransform.from_translation(1.5 * np.cross(*beams))))
     assert CheckCode.BONE_MOVEMENT in codes(pose), pose
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
-from sightline.common.checks import Check
+from sightline.common.checks import Check, CheckCode
 from sightline.common.show import Plotted, checks_lines, dataframe
 from sightline.common.threads import one_blas_thread
 from sightline.errors import OutsideRegionError, UnusableInputError
@@ -48,7 +48,7 @@ DRAWN_POINTS = 21  # [ours] along the wire, about 5 mm apart: it bends with the 
 # Of two images; with a third the check "movement" says which movements it does not show.
 _PAIR = (
     "No two images show a movement of the bone in the plane of both beams: take a third, oblique image, which "
-    "shows it. It needs a block, since plates are seen in two views only. Or register the bone's CT in both images."
+    "shows it. It needs a block, since plates are seen in two views only."
 )
 
 
@@ -151,7 +151,9 @@ class Plan(Plotted):
         """Return what else a reader must know besides `unnoticed`: movements that no check shows, checks that were left
         out, other wires, and the implant that fits."""
         fits = self.implant
-        pair = [_PAIR] if len(self.views) == 2 and self.arguments["bone"] is None else []
+        bone = self.arguments["bone"]
+        hidden = [_PAIR] if bone is None else [c.sentence for c in bone.checks if c.code is CheckCode.BONE_MOVEMENT]
+        pair = hidden if len(self.views) == 2 else []
         axes = [assumed_axes(self.kind, self.views)]
         if self.anatomy is not None:
             rules, marks = rules_of_bone(self.kind, self.views), _landmarks_mm(self.landmark_names, self.seen)
