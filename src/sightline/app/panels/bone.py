@@ -80,7 +80,7 @@ def _status(tab: Tab) -> None:
     elif bone.shown is not None:
         _result(tab, bone.shown)
     elif bone.volume is None:
-        note("A CT or mesh of this bone shows whether it moved between the images.", kind="quiet")
+        note("A CT or mesh of this bone shows most of its movements between the images.", kind="quiet")
     else:
         _begin(tab, bone.volume)
 
