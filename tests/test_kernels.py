@@ -25,7 +25,7 @@ _OF_THE_CALLER = _TYPES | {"exp", "log", "sqrt", "zeros", "empty", "len", "range
 def _kernels() -> dict[str, CPUDispatcher]:
     """Return the package's kernels by module and name."""
     walked = pkgutil.walk_packages(sightline.__path__, "sightline.")
-    names = [module.name for module in walked if not {"app", "arms"} & set(module.name.split("."))]  # arms need extras
+    names = [module.name for module in walked if not {"app", "arms", "ros2"} & set(module.name.split("."))]  # extras
     held = [value for name in names if "__main__" not in name for value in vars(import_module(name)).values()]
     kernels = [value for value in held if isinstance(value, CPUDispatcher)]
     return {f"{kernel.py_func.__module__}.{kernel.__name__}": kernel for kernel in kernels}
