@@ -29,9 +29,9 @@ from benchmarks.harness import Refusal, Rows, finished, time_ms, trials
 from benchmarks.scenes.bones import FIRST_SEED, draw_bone_scene
 from sightline.from_images.registration import ScannedBone, register_bone
 
-TRIALS, FAULT_TRIALS, QUICK = 300, 300, 4
-PEER_TRIALS = 20
-MOVED_SCENES, NOTICED, MAX_HIDDEN = 20, 0.95, 1.0
+TRIALS, FAULT_TRIALS, QUICK = 300, 120, 4
+PEER_TRIALS = 8
+MOVED_SCENES, NOTICED, MAX_HIDDEN = 10, 0.95, 1.0
 # Mean error over the targets of a pose that counts as found, and of one that counts as wrong [ours].
 FOUND_MM, WRONG_MM = 1.0, 2.0
 COVERAGE, MIN_COVERED = {0.95: 0.03}, 50
