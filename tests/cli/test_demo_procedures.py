@@ -55,7 +55,7 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
         ]
         tips = np.array([one["tip_mm"] for one in told["all_drilled"].values()])
         assert np.linalg.norm(tips[-1] - tips[-2]) > 10.0  # not one wire measured twice
-        assert {one["name"]: one["passed"] for one in told["relations_measured"]} == {"spacing": True}
+        assert {one["name"]: one["passed"] for one in told["relations_measured"]} == {"spacing": True, "parallel": True}
         assert [one["drilled"] for one in plans] == [[], [], ["distal"]]  # the second hole again, beside the first one
         shown = None if edit is None else nail_drawn(Decisions.of(edit.content["to"]))  # in the app
         assert shown is not None and shown.strokes_px.tolist() == plans[0]["strokes_px"]

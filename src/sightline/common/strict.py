@@ -8,21 +8,11 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from sightline.errors import RefusedError, SightlineError, UnusableInputError
+from sightline.errors import RefusedError, UnusableInputError
 
 _ERRORS_SHOWN = 3
 _SHOWN = 200  # characters of an error of the JSON
 _Model = TypeVar("_Model", bound=BaseModel)
-_Value = TypeVar("_Value")
-
-
-def named(
-    name: str, known: Mapping[str, _Value], what: str, refuse: type[SightlineError] = UnusableInputError
-) -> _Value:
-    """Return the value that has a name. `what`: the kind of value. Raises `refuse`, which lists the names."""
-    if name not in known:
-        raise refuse(f"there is no {what} {name!r}; there are: {', '.join(known)}")
-    return known[name]
 
 
 def read_strictly(

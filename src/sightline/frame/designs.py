@@ -12,7 +12,7 @@ from math import ceil, cos, radians, sin
 import numpy as np
 
 from sightline.common.geometry.planes import Plane
-from sightline.common.strict import named
+from sightline.common.names import named
 from sightline.errors import FrameError
 from sightline.frame.patterns import search
 from sightline.frame.plate import SOURCE_TO_HIP_MM, Fiducial, FrameView, Plate, RigidBody

@@ -1,6 +1,6 @@
 """All studies by name."""
 
-from sightline.common.strict import named
+from sightline.common.names import named
 from sightline.studies.budget import Budget
 from sightline.studies.coverage import Coverage
 from sightline.studies.fig13 import Figure13

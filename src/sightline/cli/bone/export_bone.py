@@ -24,7 +24,7 @@ def bone(
     from sightline.case.interop.bone import FORMATS
     from sightline.case.saved import load
     from sightline.common.atomic import write_folder
-    from sightline.common.strict import named
+    from sightline.common.names import named
     from sightline.planning.bone.registered import RegisteredBone
 
     writers = {name: named(name, FORMATS, "format of a bone") for name in map(str.strip, to.split(","))}

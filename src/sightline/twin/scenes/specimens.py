@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from sightline.common.strict import named
+from sightline.common.names import named
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph

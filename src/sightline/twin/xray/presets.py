@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.common.strict import named
+from sightline.common.names import named
 from sightline.frame.plate import FIELD_DIAMETER_MM
 from sightline.imaging.volumes.beam import THREE
 

@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sightline.common.geometry.covariance import factor_of
-from sightline.common.strict import named
+from sightline.common.names import named
 from sightline.errors import SetUpError
 from sightline.twin.xray.distributions import Distortion
 from sightline.twin.xray.intensifier import DistortionMap, DistortionPrior, Intensifier, RandomField, disc_mm, monomials
