@@ -22,9 +22,13 @@ FOLDER = Path("tests/registration/pairs")
 BIN, STEP_HU, VOXEL_MM, TOP, LIMIT = 2, 32.0, 2.0, 127, 300_000
 MOVED_MM = np.array([1.5, 3.4, 1.5])  # 4 mm: of the bone between the two images [ours]
 DRAWN = {
+    9500: {"anatomy_name": "femur", "chain": "panel", "overlap": False, "metal": False},
     9501: {"anatomy_name": "femur", "chain": "panel", "overlap": True, "metal": False},
+    9502: {"anatomy_name": "pelvis", "chain": "panel", "overlap": False, "metal": False},
     9503: {"anatomy_name": "pelvis", "chain": "panel", "overlap": True, "metal": False},
+    9504: {"anatomy_name": "vertebra", "chain": "panel", "overlap": False, "metal": False},
     9505: {"anatomy_name": "vertebra", "chain": "panel", "overlap": True, "metal": False},
+    9506: {"anatomy_name": "femur", "chain": "panel", "overlap": False, "metal": True},
     9507: {"anatomy_name": "pelvis", "chain": "panel", "overlap": True, "metal": True},
     9508: {"anatomy_name": "femur", "chain": "panel low dose", "overlap": False, "metal": False},
     9509: {"anatomy_name": "vertebra", "chain": "panel JPEG", "overlap": False, "metal": False},

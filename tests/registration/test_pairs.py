@@ -19,7 +19,7 @@ from sightline.imaging import Radiograph
 from sightline.imaging.volumes import CtScan
 
 PAIRS = Path(__file__).parent / "pairs"
-RIGHT = (9501, 9503, 9505, 9507, 9508, 9509)
+RIGHT = range(9500, 9510)
 FAULTS = {
     "mirrored": 9510,
     "other bone": 9511,
