@@ -254,7 +254,8 @@ def _refuse_stretched(lattice: Lattice) -> None:
 
 def _refuse_two_sheets(lattice: Lattice) -> None:
     """Refuse a lattice whose every second point along each axis has another size or rotation than the others."""
-    at = (off := lattice.index - lattice.index.mean(axis=0)) / np.abs(off).max()
+    off = lattice.index - lattice.index.mean(axis=0)
+    at = off / np.abs(off).max()
     linear = monomials(at, 1) * (1 - 2 * (lattice.index.sum(axis=1, keepdims=True) % 2))
     terms = np.hstack([monomials(at, 5), linear])
     found = np.linalg.lstsq(terms, lattice.uv_px, rcond=None)[0]

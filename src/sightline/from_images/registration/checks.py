@@ -108,11 +108,11 @@ def _in_field(shot: BoneShot, bone: ScannedBone, pose: RigidTransform) -> Check:
 def _movement(apart: Apart) -> Check:
     """Return the check that all views show the bone at one place."""
     limit = float(np.sqrt(chdtri(apart.freedom, FALSE_ALARM)))
-    hidden_mm = limit / apart.sigma_per_mm
-    hidden = f"; a shift of {hidden_mm:.0f} mm along a beam may not be noticed" if apart.sigma <= limit else ""
+    shift = f"; a shift of {limit / apart.sigma_per_mm:.0f} mm along a beam may not be noticed"
     return at_most(
         "bone movement", apart.sigma, limit, "s.d.",
-        f"The bone's poses in the single views differ by {apart.sigma:.1f} standard deviations{hidden}",
+        f"The bone's poses in the single views differ by {apart.sigma:.1f} standard deviations"
+        + (shift if apart.sigma <= limit else ""),
         otherwise=": it moved between the images, or CT or mesh have another size. Take both images again "
         "without moving patient or frame.",
     )  # fmt: skip

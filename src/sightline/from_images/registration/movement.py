@@ -64,7 +64,8 @@ def apart(shots: Sequence[BoneShot], bone: ScannedBone, fit: BoneFit) -> Apart:
     count = len(shots)
     steps, covariance = np.zeros((count, 6)), np.zeros((6 * count, 6 * count))
     size, poses, along = np.zeros((count, 6)), list[RigidTransform](), list[float | None]()
-    beams = unit(np.array([centre - shot.view.focal_point_mm for shot in shots]))
+    from_source = np.array([centre - shot.view.focal_point_mm for shot in shots])
+    beams, size[:, 3:] = unit(from_source), _SIZE_SD * from_source
     for k, shot in enumerate(shots):
         own = align([shot], bone, FINE, fit.pose)
         poses.append(own.pose)
@@ -75,7 +76,6 @@ def apart(shots: Sequence[BoneShot], bone: ScannedBone, fit: BoneFit) -> Apart:
         calibration = errors.of_calibration([shot.view], centre, spread)
         if calibration is not None:
             covariance[part, part] += calibration
-        size[k, 3:] = _SIZE_SD * (centre - shot.view.focal_point_mm)
         way = np.append(np.zeros(3), beams[k])
         variance = way @ (covariance[part, part] + np.outer(size[k], size[k])) @ way
         along.append(None if calibration is None else float(length_quantile(np.array([[variance]]))))

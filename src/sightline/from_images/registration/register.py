@@ -43,9 +43,9 @@ def register_bone(
     """Return the pose of a bone in CFCS, from its CT or mesh, two images or more, and the view of each.
 
     `volume`: a CT that was cropped to the one bone, or the path of a CT or mesh (`read_volume`). `views`: calibrated
-    here, or of `read_view`. `start`: about where
-    it lies; without one all rotations are tried, about where the images' middles meet. The pose takes the volume's
-    coordinates, mm, to CFCS; it comes with its error, and with the views' checks and its own.
+    here, or of `read_view`. `start`: about where it lies; without one all rotations are tried, about where the images'
+    middles meet. The pose takes the volume's coordinates, mm, to CFCS; it comes with its error, and with the views'
+    checks and its own.
 
     Raises UnusableInputError without bone in the volume, without two images or their own views, where no view shows
     the start, or where the views' lines of sight are nearly parallel.

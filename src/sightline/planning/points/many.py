@@ -38,9 +38,9 @@ MIN_SOURCES_MM = 20.0
 MAX_FAILED = 0.05  # [ours] share of the points whose lines of sight may miss each other: markers that were lost
 MAX_MEDIAN_GAP_MM = 1.0  # [ours] where no error is known; distortion, or y counted from below, gives more
 _SAMPLE = 200  # points that show whether cameras are exchanged [ours]
-_EXCHANGED = 0.2  # share of the median distance that is left with the cameras exchanged back, or y down [ours]
-_MIN_SAMPLE, _ROWS = 10, 33  # [ours] points that tell y up from y down, and first rows tried that it may start from
-_ALIKE = 2.0  # times the median distance: y down and y up cannot be told apart by it [ours]
+_EXCHANGED = 0.2  # ratio of median distances below which exchanged cameras, or y up, explain the points [ours]
+_MIN_SAMPLE, _ROWS = 10, 33  # [ours] minimum number of points to distinguish y up from y down; row offsets tried a step
+_ALIKE = 2.0  # ratio of median distances below which y up and y down cannot be distinguished [ours]
 
 OK, FEW, OUTSIDE, PARALLEL, BEHIND, APART = range(6)
 REASONS = (

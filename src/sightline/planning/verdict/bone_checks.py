@@ -268,10 +268,10 @@ def _unmade(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
         )
     elif "head" in anatomy.absent:
         wanting("head", f"The head is not known: {anatomy.absent['head']}.", missing=False)
-    named = ({"head"} if any(check.name == "head" for check in unmade) else set()) | ({"side"} & asked)
+    known_missing = ({"head"} if any(check.name == "head" for check in unmade) else set()) | ({"side"} & asked)
     of_name: dict[str, tuple[list[str], list[str]]] = {}
     for rule in rules:
-        undrawn, refused = bone.lacking(rule, named)
+        undrawn, refused = bone.lacking(rule, known_missing)
         if rule.check not in MEASURES:
             refused = []  # which the metric's own check says
         if refused or (undrawn and rule.optional is None):

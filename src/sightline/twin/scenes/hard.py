@@ -90,7 +90,7 @@ class HardView:
         scatter_mm: float = SCATTER_MM,
     ) -> tuple[Radiograph, BeadTruth]:
         """Draw its image, and return it with the truth of its beads. Raises SetUpError."""
-        dose = replace(DOSES[dose_class], level=self.level)
+        dose = replace(named(dose_class, DOSES, "dose class", SetUpError), level=self.level)
         exposure = self.projection.exposed(dose, even_scatter=even_scatter, scatter_mm=scatter_mm)
         image = exposure.read_out(rng)
         return image, bead_truth(self.setup, self.projection.view, self.scene, exposure)
