@@ -94,6 +94,15 @@ def test_a_tear_is_found_where_half_of_its_line_shows_little_structure() -> None
     assert tear_of(Radiograph(half, 255.0)) is None
 
 
+def test_a_small_tear_is_found_in_a_soft_image_and_none_between_the_blocks_of_jpeg() -> None:
+    noise = np.random.default_rng(2).normal(0.0, 2.0, CLEAN.shape)
+    both = np.array([cv2.GaussianBlur(CLEAN, (0, 0), 1.5), CLEAN]) + noise
+    soft, sharp = np.clip(np.rint(both), 0, 255).astype(np.uint8)
+    assert tear_of(Radiograph(torn(soft, 371, 2), 255.0)) == Tear(371, 2, rows=True)
+    for quality in (5, 8, 11):
+        assert tear_of(Radiograph(jpeg(sharp, quality), 255.0)) is None
+
+
 def test_a_tear_between_two_exposures_is_found() -> None:
     """The two fields have independent noise."""
     later = in_8_bits(image(TRUTH, 6))
@@ -144,6 +153,12 @@ def test_beads_of_a_frame_are_found_in_the_inverse_of_an_image_that_shows_them_b
 @pytest.mark.parametrize("sigma_px", [3, 4])
 def test_a_blurred_image_is_refused_as_such(sigma_px: int) -> None:
     assert "the image is blurred" in refusal(cv2.GaussianBlur(CLEAN, (0, 0), sigma_px))
+
+
+def test_balls_so_blurred_that_no_fit_finds_their_rims_are_named_as_blurred() -> None:
+    enlarged = cv2.resize(CLEAN, None, fx=2, fy=2)
+    found = re.search(r"the image is blurred: (\d+) spots", refusal(cv2.GaussianBlur(enlarged, (0, 0), 8)))
+    assert found is not None and int(found[1]) > 0.5 * len(TRUTH)
 
 
 def smeared(pixels: np.ndarray, length_px: float, angle_deg: float) -> np.ndarray:

@@ -17,6 +17,7 @@ class SpotFault(StrEnum):
     """Reasons of rejected candidates by which the cause is found; they are saved as these texts."""
 
     NO_RIM = "no rim: it fades out like anatomy, not like a bead"
+    NO_DISC = "no disc at this place: the fit moved away"
     TOO_SMALL = "its radius is below 2 px"
 
 
@@ -34,6 +35,8 @@ _OWN = 0.5
 # Refused images with motion of 2-12 px, or with two exposures, have 0.09 and more; images refused for another reason
 # have 0.06 and less [twin: `campaigns/images.py`, two seeds].
 DIRECTED = 0.075
+# Spread of the aspects of spots that are all balls; other spots have 0.03 and more [gVirtualXray].
+_ALL_ROUND = 0.02
 # Of the spots, what a common direction needs: share within 60° of it, and its size in standard errors. Smeared beads
 # have 0.74 and 8 and more, textures and edges of other images 0.53 and 2 and less [gVirtualXray, 20 images of files].
 _ALIGNED, _CERTAIN = 0.65, 5.0
@@ -50,7 +53,9 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCa
             f"the image is saturated: {share:.0f} % of its field is clipped; expose less, or export it without a window"
         )
     others = np.array([(*candidate.uv_px, candidate.radius_px) for candidate in rejected]).reshape(-1, 3)
-    shaped = _too_small(beads, rejected) or _not_square(image, np.concatenate([beads, others]))
+    spots = np.concatenate([beads, others])
+    shape = common_shape(image, spots[:, :2], spots[:, 2])
+    shaped = _too_small(beads, rejected) or (None if shape is None else shape.not_square)
     if shaped is not None:
         return shaped
     moved = smear(image, beads, others)
@@ -63,7 +68,10 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCa
     tear = torn(image)
     if tear is not None:
         return tear.sentence
-    soft = sum(candidate.reason == SpotFault.NO_RIM for candidate in rejected)
+    soft_ones = {SpotFault.NO_RIM}
+    if shape is not None and shape.aspect_spread < _ALL_ROUND:
+        soft_ones.add(SpotFault.NO_DISC)
+    soft = sum(candidate.reason in soft_ones for candidate in rejected)
     if soft >= max(_MIN_SPOTS, len(beads) / 2):
         return f"the image is blurred: {soft} spots fade out without a rim, {len(beads)} have one; focus, or hold still"
     return None
@@ -73,17 +81,12 @@ def _too_small(beads: np.ndarray, rejected: Sequence[RejectedCandidate]) -> str 
     small = np.count_nonzero(beads[:, 2] < _FEW_PX) + sum(
         candidate.reason == SpotFault.TOO_SMALL for candidate in rejected
     )
-    if small < max(_MIN_SPOTS, len(beads) / 2):
+    if small < max(_MIN_SPOTS, (len(beads) + len(rejected)) / 3):
         return None
     return (
         f"the image has too few pixels: the radius of {small} beads is below {_FEW_PX:g} px; export it in full size, "
         "or show a smaller field"
     )
-
-
-def _not_square(image: Radiograph, spots: np.ndarray) -> str | None:
-    shape = common_shape(image, spots[:, :2], spots[:, 2])
-    return None if shape is None else shape.not_square
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ _NO_BEADS = (
 )
 _FIT_REASONS = {
     BeadStatus.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
-    BeadStatus.WANDERED: "no disc at this place: the fit moved away",
+    BeadStatus.WANDERED: SpotFault.NO_DISC,
     BeadStatus.SINGULAR: "no disc at this place: the fit found none",
 }
 

@@ -231,8 +231,8 @@ def _beads_near(counts: dict[tuple[str, str], tuple[int, int, int]]) -> Check:
     states = f"Of the {shown} beads that the {view} image should show nearest to {name}, {used} are used"
     states += f" and {hidden} hidden" if hidden else ""
     otherwise = (
-        ": the calibration there is extrapolated from other beads. Look for torn rows, movement, or metal over "
-        "the beads, and acquire the image again."
+        ": the calibration there is extrapolated from other beads. Look for torn rows, movement, metal over "
+        "the beads, or too few pixels, and acquire the image again."
     )
     return at_least("beads near", share, MIN_BEADS_NEAR, "", states, otherwise=otherwise)
 
