@@ -20,9 +20,10 @@ _ELSEWHERE, _SHIFT_MM, _TURN_RAD = 12, 8.0, np.deg2rad(8.0)  # [ours] beyond any
 # Loss of the next best pose over that of the best. Beside a right pose it is 1.2 and more; 1.07 where the image shows a
 # second bone of the same shape, such as the next vertebra [gVirtualXray].
 MIN_RIVAL_SHARE = 1.1
-# Three quarters of all edges lie at most so far from those of the image. Right bones have up to 0.4 mm, beside metal
-# and in images of an intensifier; another person's, or the same scaled by 2 %, 0.5 to 1 mm [gVirtualXray].
-MAX_EDGE_MM, _EDGES = 0.45, 0.75
+# Three quarters of all edges lie at most so far from those of the image: a length, and a share of the largest side of
+# a voxel. With voxels of 1 mm right bones have up to 0.27 mm, beside metal and in images of an intensifier; another
+# person's, and one of which a part moved by 3 mm, 0.33 mm and more. With 2 mm right ones have 0.35 [gVirtualXray].
+MAX_EDGE_MM, MAX_EDGE_VOXELS, _EDGES = 0.15, 0.15, 0.75
 MIN_IN_FIELD = 0.2  # of the bone, in each view [ours]: the head of a femur is 0.3 of a scan of 140 mm
 
 
@@ -74,8 +75,9 @@ def _shape(shots: Sequence[BoneShot], bone: ScannedBone, best: BoneFit) -> Check
     length, information = every[np.argsort(every[:, 0])].T
     share = np.cumsum(information) / information.sum() if len(information) else np.zeros(0)
     figure = float(length[np.searchsorted(share, _EDGES)]) if len(share) else float("inf")
+    limit = MAX_EDGE_MM + MAX_EDGE_VOXELS * float(bone.volume.voxel_mm.max())
     return at_most(
-        "bone shape", figure, MAX_EDGE_MM, "mm",
+        "bone shape", figure, limit, "mm",
         f"Three quarters of the edges of the bone's shadow lie within {figure:.2f} mm of those in the images",
         otherwise=": it has another shape. Is it another person's, another side's, or in other units, did a fragment "
         "move, or is the segmentation too wide?",

@@ -14,10 +14,10 @@ from sightline.from_images.registration.align import FINE, BoneFit, align
 from sightline.from_images.registration.bone import ScannedBone
 from sightline.from_images.registration.observed import BoneShot
 
-# A bone that is larger by this share than its CT looks nearer to the source, in all views: 0.1 mm on either side of a
-# femur's shaft, as blur and threshold leave them [gVirtualXray: chi-squares of single views' poses are then 1.3 of what
-# they should be].
-_SIZE_SD = 0.002
+# A shadow that is larger by this share looks nearer to the source: 0.06 mm on either side of a femur's shaft. Twice:
+# alike in all views, as the CT's blur and threshold leave it, and in each view, as the image's do [gVirtualXray: then
+# chi-squares of single views' poses are what they should be].
+_SIZE_SD = 0.0012
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def apart(shots: Sequence[BoneShot], bone: ScannedBone, fit: BoneFit) -> Apart:
         change = own.pose * fit.pose.inv()
         steps[k] = np.concatenate([change.rotation.as_rotvec(), change.apply(centre) - centre])
         part = slice(6 * k, 6 * k + 6)
-        covariance[part, part] = errors.of_images(own.views)
+        covariance[part, part] = errors.of_images(own.views) + np.outer(size[k], size[k])
         calibration = errors.of_calibration([shot.view], centre, spread)
         if calibration is not None:
             covariance[part, part] += calibration

@@ -12,6 +12,7 @@ from sightline.calibration import CalibratedView
 from sightline.common.geometry.lines import meeting_point
 from sightline.errors import UnusableInputError
 from sightline.from_images.registration.align import (
+    CLOSE,
     COARSE,
     FINE,
     FLAT,
@@ -33,7 +34,7 @@ from sightline.imaging.volumes.volume import Volume
 # what the correlation alone does not: the right place of a pelvis may come 110th of 4,000, and then 27th.
 _NEAR, _ALL = 100, 4000
 _REFINED_NEAR, _REFINED_ALL = 40, 300
-_LEVELS = (replace(COARSE, rounds=3), 40), (COARSE, 16), (MIDDLE, 4), (FINE, 2)
+_LEVELS = (replace(COARSE, rounds=3), 40), (COARSE, 16), (MIDDLE, 4), (CLOSE, 2), (FINE, 2)
 _APART_MM = 25.0  # between places tried of one rotation: a neighbour such as the next vertebra may match better [ours]
 _FIELD_MM = 150.0  # without a start the bone lies at most so far from where the images' middles meet [ours]
 
