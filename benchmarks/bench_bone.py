@@ -145,13 +145,8 @@ def fault_rows(rows: Rows, count: int) -> None:
         own = [(ok, each["trusted"]) for ok, each in zip(good, records, strict=True) if each["fault"] == fault]
         text = f"{sum(ok for ok, _ in own)} of {len(own)}; refused {sum(not trusted for _, trusted in own)}"
         rows.add(f"{fault}: refused or inside the stated error", text)
-    rows.number(
-        f"all faults ({len(good)}): refused or inside the stated error",
-        100 * np.mean(good),
-        ".1f",
-        "%",
-        least=MIN_FAULTS,
-    )
+    name = f"all faults ({len(good)}): refused or inside the stated error"
+    rows.number(name, 100 * np.mean(good), ".1f", "%", least=MIN_FAULTS)
 
 
 def movement_rows(rows: Rows, scenes: int, count: int) -> None:

@@ -141,7 +141,7 @@ def test_diagnostics_tell_verdict_statuses_and_failed_checks() -> None:
     view = replace(planned_view(), checks=(FAILED, replace(FAILED, passed=True, figure=0.5)))
     robot = Status(18, "FAULT", "the drill is hot", 7)
     statuses = {"status": Status(1, "", "still"), "robot": robot}
-    found = parts(topics(statuses=statuses, images={LIVE: replace(live(), view=view)}, bone=bone(), verdict="GO"))
+    found = parts(topics(statuses=statuses, images={LIVE: replace(live(), view=view)}, bone=bone(), **GO))
     assert {name: part.level for name, part in found.items()} == {
         "plan": OK, "status": OK, "robot": ERROR, "view live": ERROR, "ct": OK,
     }  # fmt: skip

@@ -69,13 +69,7 @@ def stretched(series: Series, rng: np.random.Generator) -> Series:
     return replace(series, xyz_mm=series.xyz_mm + rng.standard_normal() * stretch, covariance_mm2=covariance)
 
 
-@pytest.mark.parametrize(
-    ("names", "change"),
-    [
-        pytest.param("123", None, marks=pytest.mark.slow),
-        ("1", stretched),
-    ],
-)
+@pytest.mark.parametrize(("names", "change"), [pytest.param("123", None, marks=pytest.mark.slow), ("1", stretched)])
 def test_the_covariance_is_that_of_the_errors(names, change):
     """Pooled chi-square of 30 frames within what chance gives it 999 times in 1,000; rank all but the gauge's six."""
     rng, total = np.random.default_rng(2), 0.0

@@ -7,18 +7,11 @@ from sightline.errors import SetUpError
 from sightline.twin.anatomy.bone_model import CORTEX, FAR, wrong_wires
 from sightline.twin.scenes.bone_scene import BONES
 
-KINDS = {
-    "vertebra": {FAR, CORTEX, "into the canal"},
-    "growing-femur": {FAR, CORTEX},
-}
+KINDS = {"vertebra": {FAR, CORTEX, "into the canal"}, "growing-femur": {FAR, CORTEX}}
 
 
 @pytest.mark.parametrize(
-    ("name", "beyond_mm"),
-    [
-        pytest.param("vertebra", 1.5, marks=pytest.mark.slow),
-        ("growing-femur", 4.0),
-    ],
+    ("name", "beyond_mm"), [pytest.param("vertebra", 1.5, marks=pytest.mark.slow), ("growing-femur", 4.0)]
 )
 def test_a_wrong_wire_is_wrong_by_the_amount_asked_for(name: str, beyond_mm: float):
     bone = BONES[name].draw(np.random.default_rng(21)).bone()

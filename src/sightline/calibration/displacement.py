@@ -118,7 +118,7 @@ class Rest:
         place, by_pq = pencil.project(self.targets_mm), pencil.by_pq(self.targets_mm)
         reach = 1.0 - plane.height_mm(self.targets_mm) * pencil.pq[2]
         on_plane = reach[:, None, None] * np.concatenate([_homography(place), -by_pq], axis=2)
-        across = np.array([_across(target - pencil.focal_point_mm) for target in self.targets_mm])
+        across = np.linalg.svd((self.targets_mm - pencil.focal_point_mm)[:, None])[2][:, 1:]  # (N, 2, 3), orthonormal
         return across @ plane.axes.T @ on_plane
 
 
@@ -170,11 +170,6 @@ def _solved(
     parameters = np.einsum("knb,nb->k", gain, moved_mm[used])
     residual = moved_mm - design @ parameters
     return gain, np.einsum("na,nab,nb->n", residual, weight, residual)
-
-
-def _across(direction: np.ndarray) -> np.ndarray:
-    """Return (2, 3): two unit vectors perpendicular to a direction (3,)."""
-    return np.linalg.svd(direction[None])[2][1:]
 
 
 def _largest_sd(covariance: np.ndarray) -> float:

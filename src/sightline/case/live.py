@@ -27,6 +27,7 @@ from sightline.robot.igtl.messages import Body
 
 # Device names of the live image and of its STATUS; planning images have the names of their views.
 LIVE, STATUS = "live", "status"
+NO_PLAN = "no plan"
 _METADATA = {contract.UNITS: contract.MM, contract.COORDINATES: contract.CFCS}
 # [ours] a quarter of a pixel of 0.4 mm: below it the resampling of the image before is used, which takes 0.1 s to make.
 _SAME_MM = 0.1
@@ -45,14 +46,14 @@ class ShownImage:
 class LiveState:
     """A procedure at one moment.
 
-    `statuses`, `images`: by device name. `verdict`: on the plan, for people; `wire_mm`: its entry and end (2, 3),
-    CFCS, where it is GO, else None. `bone`: None without one. `T_cfcs_tool` (4, 4): pose of the robot's tool. `side`:
-    of the patient; None where the axes of CFCS are not known in the patient.
+    `statuses`, `images`: by device name. `verdict`: on the plan, for people; None without one. `wire_mm`: its entry and
+    end (2, 3), CFCS, where it is GO, else None. `bone`: None without one. `T_cfcs_tool` (4, 4): pose of the robot's
+    tool. `side`: of the patient; None where the axes of CFCS are not known in the patient.
     """
 
     statuses: Mapping[str, Status] = field(default_factory=dict)
     images: Mapping[str, ShownImage] = field(default_factory=dict)
-    verdict: str = "no plan"
+    verdict: str | None = None
     wire_mm: np.ndarray | None = None
     bone: RegisteredBone | None = None
     T_cfcs_tool: np.ndarray | None = None
@@ -124,7 +125,7 @@ class LiveMessages:
             poses["wire-to-cfcs"] = T_cfcs_wire(state.wire_mm)
             paths = (Path("planned wire", *state.wire_mm, group="Sightline", owner=contract.CFCS),)
         bodies: dict[str, Body] = {name: Transform(pose) for name, pose in poses.items()}
-        bodies |= {**state.statuses, "verdict": String(state.verdict), "plan": Trajectories(paths)}
+        bodies |= {**state.statuses, "verdict": String(state.verdict or NO_PLAN), "plan": Trajectories(paths)}
         small = [Message(body, name, now, version=2, metadata=_METADATA) for name, body in bodies.items()]
         return [*small, *(self._image(name, shown) for name, shown in state.images.items())]
 

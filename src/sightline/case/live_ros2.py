@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.case.interop.bone import CT
-from sightline.case.live import LiveMessages, LiveState, ShownImage
+from sightline.case.live import NO_PLAN, LiveMessages, LiveState, ShownImage
 from sightline.common.checks import Check, failed
 from sightline.common.closing import Closing
 from sightline.errors import SetUpError, UnusableInputError
@@ -93,8 +93,8 @@ def picture_of(name: str, shown: ShownImage, image: Image, pose: np.ndarray) -> 
 
 def diagnoses_of(state: LiveState, messages: Mapping[str, Message]) -> tuple[Diagnosis, ...]:
     """Return the verdict, each STATUS of `messages`, and the checks of views and bone."""
-    level = {"GO": OK, "no plan": WARN}.get(state.verdict, ERROR)
-    parts = [Diagnosis("sightline: plan", level, state.verdict)]
+    level = WARN if state.verdict is None else ERROR if state.wire_mm is None else OK
+    parts = [Diagnosis("sightline: plan", level, state.verdict or NO_PLAN)]
     for name, message in messages.items():
         if isinstance(status := message.body, Status):
             text = ": ".join(filter(None, (status.error_name, status.text)))

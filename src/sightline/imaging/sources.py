@@ -76,10 +76,6 @@ _COLOUR, _COLOURED = 24, 0.02
 Opener = Callable[[int | str], Any]  # returns an object with isOpened, read, get and release
 
 
-def _capture(place: int | str) -> cv2.VideoCapture:
-    return cv2.VideoCapture(place)
-
-
 class VideoSource:
     """Frames of `place`: a device's number, a file, or a stream's address. A live source gives its newest frame.
 
@@ -96,7 +92,7 @@ class VideoSource:
         deadline_s: float = DEADLINE_S,
         retry_s: float = RETRY_S,
         tell: Callable[[str], None] = lambda _: None,
-        opener: Opener = _capture,
+        opener: Opener = lambda place: cv2.VideoCapture(place),  # noqa: PLW0108, its overloads
     ) -> None:
         self._place, self._crop, self._opener, self._tell = place, crop, opener, tell
         self._deadline_s, self._retry_s = deadline_s, retry_s

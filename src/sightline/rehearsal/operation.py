@@ -237,7 +237,7 @@ class SimulatedTheatre:
                 self.plant.drill_by_hand(insertion.standoff_mm + insertion.length_mm)
             self.plant.advance(dt_s)
 
-        simulation = Simulation(advance, virtual, self._truth)
+        simulation = Simulation(advance, virtual, lambda: self.wire.text())  # noqa: PLW0108, the wire of then
         return RobotServer(controller, self.plant, simulation, host=host, port=port, dialect=dialect)
 
     def _surface_mm(self, insertion: Insertion) -> float:
@@ -264,9 +264,6 @@ class SimulatedTheatre:
     def wire(self) -> SimulatedWire:
         """The true wire, now."""
         return SimulatedWire(self.plant.true_wire_mm(), self.T_mcs_cfcs, self.imaged)
-
-    def _truth(self) -> str:
-        return self.wire.text()
 
     def outcome(self, ideal_mm: np.ndarray) -> InsertionOutcome:
         """Compare the true wire with entry and end point (2, 3), CFCS."""

@@ -183,7 +183,7 @@ class _Work:
         image = read_image(file)
         pixels = self.undistorter(image.pixels, image.white)
         if target.suffix == ".dcm":
-            data = self._header(image, item[1]) + _even(pixels.tobytes())
+            data = self._header(image, item[1]) + pixels.tobytes() + b"\0" * (pixels.nbytes % 2)
         elif target.suffix == ".npy":
             np.save(buffer := io.BytesIO(), pixels)
             data = buffer.getvalue()
@@ -284,10 +284,6 @@ class _Work:
                 writer.release()
         if written < run.frames:
             raise ImageError(f"{run.files[0].name} ends after {written} of {run.frames} frames; copy it again")
-
-
-def _even(data: bytes) -> bytes:
-    return data + b"\0" * (len(data) % 2)
 
 
 def _frame_ms(file: Path) -> float:

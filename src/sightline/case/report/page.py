@@ -110,15 +110,11 @@ def _plan_figures(report: Report) -> list[dict[str, Any]]:
     return drawn
 
 
-def _plans(report: Report) -> list[Plan]:
-    """Return the plan, and those of the wires that were planned with it."""
-    return [report.plan] if report.wires is None else list(report.wires.plans.values())
-
-
 def _plan_marks(report: Report, k: int) -> list[str]:
     """Return the marks of the plan in image `k`."""
     curves = (report.plan.entry_curve, report.plan.end_curve)
-    holes = [hole for plan in _plans(report) if (hole := plan.hole) is not None]
+    plans = [report.plan] if report.wires is None else report.wires.plans.values()
+    holes = [hole for plan in plans if (hole := plan.hole) is not None]
     marks = [radiographs.nail_hole(report.images[k].view, hole) for hole in holes]
     if k == 1 and report.plan.hole is None:
         marks += [radiographs.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)]

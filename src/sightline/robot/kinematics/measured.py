@@ -170,7 +170,7 @@ class MountFile(BaseModel):
         """Return the arm with its axes as stated. Raises RobotRefusedError for another arm than the images'."""
         if self.joints is not None:
             q, there = np.array(self.joints.q), _rigid("flange", self.joints.T_base_flange)
-            if q.shape != (arm.count,) or _differ(arm.T_mcs_flange(q), there):
+            if q.shape != (arm.count,) or not np.allclose(arm.T_mcs_flange(q).as_matrix(), there.as_matrix(), 0, 1e-6):
                 raise RobotRefusedError(
                     "the mount was found with another arm, or another model of it: name the one that the list of "
                     "images names, or calibrate by images again"
@@ -373,7 +373,8 @@ class RobotFile(_Part):
             }
         )
         parts: dict[str, CalibratedAxes | Mount] = {"axes": axes, "frame": frame, "wire": wire}
-        return file, {name: _rms(part) for name, part in parts.items() if part.residual_mm.size}
+        sized = {name: part.residual_mm for name, part in parts.items() if part.residual_mm.size}
+        return file, {name: float(np.sqrt(np.mean(residual**2))) for name, residual in sized.items()}
 
     @staticmethod
     def read(file: Path) -> "RobotFile":
@@ -558,10 +559,6 @@ def _utc(time: datetime) -> datetime:
     return time.astimezone(UTC)  # without a zone it is local time
 
 
-def _differ(one: RigidTransform, other: RigidTransform) -> bool:
-    return not np.allclose(one.as_matrix(), other.as_matrix(), rtol=0.0, atol=1e-6)
-
-
 def _symmetric(covariance: np.ndarray) -> np.ndarray:
     if covariance.shape != covariance.shape[::-1] or not np.allclose(covariance, covariance.T, rtol=1e-9, atol=1e-15):
         raise UnusableInputError("its covariance is not symmetric")
@@ -581,7 +578,3 @@ def _rigid(name: str, rows: Iterable[Iterable[float]]) -> RigidTransform:
     if fault is not None:
         raise UnusableInputError(f"the pose of its {name} is not a rigid motion: {fault}")
     return RigidTransform.from_matrix(matrix)
-
-
-def _rms(calibration: CalibratedAxes | Mount) -> float:
-    return float(np.sqrt(np.mean(calibration.residual_mm**2)))
