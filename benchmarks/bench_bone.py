@@ -29,8 +29,8 @@ from benchmarks.harness import Refusal, Rows, finished, time_ms, trials
 from benchmarks.scenes.bones import FIRST_SEED, draw_bone_scene
 from sightline.from_images.registration import ScannedBone, register_bone
 
-TRIALS, FAULT_TRIALS, QUICK = 300, 120, 4
-PEER_TRIALS = 8
+TRIALS, FAULT_TRIALS, QUICK = 150, 120, 4
+PEER_TRIALS = 6
 MOVED_SCENES, NOTICED, MAX_HIDDEN = 10, 0.95, 1.0
 # Mean error over the targets of a pose that counts as found, and of one that counts as wrong [ours].
 FOUND_MM, WRONG_MM = 1.0, 2.0

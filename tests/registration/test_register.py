@@ -12,6 +12,7 @@ from sightline.common.checks import CheckCode, failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.from_images.registration import BonePose, BoneStart, ScannedBone, register_bone
 from sightline.from_images.registration.align import moved
+from sightline.from_images.registration.clicks import AxisStart
 
 CHI2_999 = 16.27  # of three numbers
 CODES = {CheckCode.BONE_FIT, CheckCode.BONE_SHAPE, CheckCode.BONE_MOVEMENT, CheckCode.BONE_ELSEWHERE}
@@ -35,6 +36,11 @@ def errors_mm(pose: BonePose) -> np.ndarray:
 
 def codes(pose: BonePose) -> set[CheckCode]:
     return {check.code for check in failed(pose.checks)}
+
+
+def test_a_start_of_two_clicks_beside_the_bone_reaches_every_rotation_about_their_axis() -> None:
+    about = AxisStart(pose=balls.POSE, ends_mm=balls.POSE.apply([[60.0, 0.0, -20.0], [60.0, 0.0, 20.0]]))
+    assert all(about.reaches(pose, balls.bone()) for pose in about.turned(balls.bone()))
 
 
 def test_a_bone_is_found_and_its_error_is_the_stated_one() -> None:

@@ -33,6 +33,10 @@ class AxisStart(BoneStart):
 
     ends_mm: np.ndarray
 
+    def known_mm(self, bone: ScannedBone) -> np.ndarray:
+        """Return the middle of the axis."""
+        return self.ends_mm.mean(axis=0)
+
     def turned(self, bone: ScannedBone) -> list[RigidTransform]:
         """Return poses of all rotations about the axis."""
         angles = 2 * np.pi * np.arange(_TURNS) / _TURNS

@@ -52,10 +52,14 @@ class BoneStart:
         """How far the centre may be off, with a margin: a vertebra's neighbour, which may fit too, is further."""
         return 2 * self.shift_mm
 
+    def known_mm(self, bone: ScannedBone) -> np.ndarray:
+        """Return the point (3,), CFCS, that lies within reach of its place whatever the rotation is."""
+        return self.pose.apply(bone.centre_mm)
+
     def reaches(self, pose: RigidTransform, bone: ScannedBone) -> bool:
         """Return whether a pose may be that of the bone."""
-        off = pose.apply(bone.centre_mm) - self.pose.apply(bone.centre_mm)
-        return bool(np.linalg.norm(off) <= self.reach_mm)
+        at = self.known_mm(bone)
+        return bool(np.linalg.norm((pose * self.pose.inv()).apply(at) - at) <= self.reach_mm)
 
     def turned(self, bone: ScannedBone) -> list[RigidTransform]:
         """Return poses within reach of the rotation, the given one first."""
