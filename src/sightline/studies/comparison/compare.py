@@ -114,7 +114,7 @@ def measured(image: Radiograph) -> ImageMeasurements:
     curves: dict[str, Curve] = {}
     measurements = [
         *_distortion(image, beads, curves),
-        *_edge(image, beads),
+        *_or_why([("edge spread", "px")], lambda: measure.edge_spread(image, beads)[:1]),
         *_noise(image, beads, curves),
         *_contrast(beads),
         *_vignetting(image, beads, curves),
@@ -155,10 +155,6 @@ def _of_distortion(measured: measure.DistortionMeasured) -> list[Measurement]:
         Measurement("turn", "mrad", 1000 * abs(measured.turn_rad)),
         *(Measurement(f"residual of degree {d}", "px", measured.residual_px.get(d), few) for d in measure.DEGREES),
     ]
-
-
-def _edge(image: Radiograph, beads: Detections | None) -> list[Measurement]:
-    return _or_why([("edge spread", "px")], lambda: measure.edge_spread(image, beads)[:1])
 
 
 def _noise(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Measurement]:

@@ -341,7 +341,8 @@ def _volume_mm(volume: Volume, rays: Rays) -> np.ndarray:
     focal, origin = rays.focal @ own, volume.origin_mm @ own
     if volume.voxel_mm.min() < FINE_VOXEL_MM:
         return volume_integral(Rays(focal, rays.points @ own, rays.inside), volume.values, origin, volume.voxel_mm)
-    inside = np.ascontiguousarray(_grown(rays.inside)[::2, ::2])
+    # Grown by four pixels, the support of the cubic interpolation between rays.
+    inside = np.ascontiguousarray(cv2.dilate(rays.inside.astype(np.uint8), np.ones((9, 9), np.uint8))[::2, ::2] > 0)
     every = Rays(focal, rays.points[::2, ::2] @ own, inside)
     length = volume_integral(every, volume.values, origin, volume.voxel_mm)
     halve = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 0.0]])
@@ -366,11 +367,6 @@ def _mesh_mm(view: ViewTruth, mesh: Mesh, rays: Rays, spot: np.ndarray) -> tuple
     lengths = mesh_lengths(rays, view.detector.to_plane(rays.points), spot, surface, shadows)
     hit = np.asarray(lengths.any(axis=0))
     return hit, lengths[:, hit]
-
-
-def _grown(inside: np.ndarray) -> np.ndarray:
-    """Return a mask grown by four pixels, the support of the cubic interpolation between rays."""
-    return cv2.dilate(inside.astype(np.uint8), np.ones((9, 9), dtype=np.uint8)).astype(bool)
 
 
 def _cells(view: ViewTruth, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
