@@ -23,8 +23,8 @@ from sightline.imaging.volumes import CtScan
 from sightline.planning import kind
 
 FAULT_SEED, MOVED_SEED = FIRST_SEED + 5000, FIRST_SEED + 6000
-# Scenes between those that are registered so: without a start, which takes as long as fifteen with one; in other ways.
-NO_START_EVERY, OTHER_EVERY = 12, 3
+# Of so many scenes one is registered without a start, which takes as long as fifteen with one; with a CT of 2 mm.
+NO_START_EVERY, COARSE_EVERY = 12, 3
 REACH = {"near": 10.0, "wide": 20.0}  # of a start: mm and degrees along each axis
 MOVED_MM = 4.0  # of the bone between the two images
 CLICK_PX, CLICK_MM = 1.0, 2.0  # s.d. of a person's click: from a pixel to so far at the bone [ours]
@@ -48,7 +48,7 @@ def right_trial(k: int) -> dict[str, Record]:
         "own": (bone, images, views, near),
         "wide": (bone, images, views, wide),
     }
-    searched, other = k % NO_START_EVERY == 0, k % OTHER_EVERY == 0
+    searched = k % NO_START_EVERY == 0
     if searched:
         ways["none"] = bone, images, views, None
     if scene.strata["chain"] != "intensifier":
@@ -56,7 +56,7 @@ def right_trial(k: int) -> dict[str, Record]:
         ways["exact"] = bone, images, exact, near
         if searched:
             ways["none exact"] = bone, images, exact, None
-        if other:
+        if k % COARSE_EVERY == 0:
             ways["2 mm"] = ScannedBone.of_ct(halved(scene.ct)), images, exact, near
         if scene.strata["anatomy"] == "femur":
             ways["head"] = bone, head_alone(scene), exact, near

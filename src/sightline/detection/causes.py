@@ -69,8 +69,10 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCa
     if tear is not None:
         return tear.sentence
     all_round = shape is not None and shape.aspect_spread < _ALL_ROUND
-    soft_ones = (SpotFault.NO_RIM, SpotFault.NO_DISC)[: 1 + all_round]
-    soft = sum(candidate.reason in soft_ones for candidate in rejected)
+    soft = sum(
+        candidate.reason == SpotFault.NO_RIM or (all_round and candidate.reason == SpotFault.NO_DISC)
+        for candidate in rejected
+    )
     if soft >= max(_MIN_SPOTS, len(beads) / 2):
         return f"the image is blurred: {soft} spots fade out without a rim, {len(beads)} have one; focus, or hold still"
     return None

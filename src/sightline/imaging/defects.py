@@ -78,8 +78,8 @@ def _torn(pixels: np.ndarray, inside: np.ndarray, *, rows: bool) -> Tear | None:
     beside = np.maximum(np.roll(square, 2), np.roll(square, -2))[enough]  # a bead's rim covers some lines
     usual = np.maximum(median_filter(square[enough], 2 * _AROUND + 1), beside)
     for phase in range(_BLOCK):
-        at = slice(phase, None, _BLOCK)
-        usual[at] = np.maximum(usual[at], median_filter(square[enough][at], 2 * _AROUND // _BLOCK + 1))
+        lines = slice(phase, None, _BLOCK)
+        usual[lines] = np.maximum(usual[lines], median_filter(square[enough][lines], 2 * _AROUND // _BLOCK + 1))
     ratio = square[enough] / np.maximum(usual, 1e-12)
     tears = []
     for k in np.argsort(-ratio)[:_LINES]:

@@ -73,7 +73,7 @@ _WAITING = 2  # frames in the queue: a live source drops the oldest, a file wait
 # coloured writing. More is a colour camera, whose brightness is no measure of X-rays [ours].
 _COLOUR, _COLOURED = 24, 0.02
 
-Opener = Callable[[int | str], Any]  # returns an object with isOpened, read, get and release
+Opener = Callable[..., Any]  # of a place; returns an object with isOpened, read, get and release
 
 
 class VideoSource:
@@ -92,7 +92,7 @@ class VideoSource:
         deadline_s: float = DEADLINE_S,
         retry_s: float = RETRY_S,
         tell: Callable[[str], None] = lambda _: None,
-        opener: Opener = lambda place: cv2.VideoCapture(place),  # noqa: PLW0108, its overloads
+        opener: Opener = cv2.VideoCapture,
     ) -> None:
         self._place, self._crop, self._opener, self._tell = place, crop, opener, tell
         self._deadline_s, self._retry_s = deadline_s, retry_s
